@@ -2,17 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
-from oee_tabular._checks import freeze
+from oee_tabular._checks import freeze, is_sparse
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 
-def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
+class CsrParts(Protocol):
+    """Describe what has the arrays of a csr matrix: scipy's, or ``mdp.CsrArrays``."""
+
+    @property
+    def indptr(self) -> NDArray[np.integer[Any]]:
+        """The first entry of each row, and the number of entries."""
+
+    @property
+    def indices(self) -> NDArray[np.integer[Any]]:
+        """The column of each entry."""
+
+    @property
+    def data(self) -> NDArray[Any]:
+        """The value of each entry."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The numbers of rows and of columns."""
+
+    @property
+    def nnz(self) -> int:
+        """The number of entries."""
+
+
+def canonical(matrix: Any, *, drop_zeros: bool) -> Csr:
     """Copy a matrix to csr with sorted indices, no duplicates and read-only arrays.
 
     Indices have 32 bits where they fit.
@@ -28,7 +53,7 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
     return freeze_csr(csr)
 
 
-def check_csr(matrix: Any, name: str) -> sparse.csr_array:
+def check_csr(matrix: Any, name: str) -> Csr:
     """Check a sparse matrix in any of scipy's formats and return it as csr of float64.
 
     Its arrays may be the given ones. Native code follows row pointers and indices
@@ -36,7 +61,7 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
     takes one looks at all of it here first. Costs O(entries). Raises an ArgumentError,
     with the part and the place, for what is no matrix of real numbers.
     """
-    if not sparse.issparse(matrix):
+    if not is_sparse(matrix):
         raise ArgumentError(
             name, f"must be a sparse matrix; got {type(matrix).__name__}"
         )
@@ -46,31 +71,28 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
         )
     if matrix.dtype.kind not in "biuf":
         raise ArgumentError(name, f"must be real numbers; they are {matrix.dtype}")
+    if matrix.format not in ("csr", "csc"):
+        return _csr_of_other_format(matrix, name)
+    # a csc matrix has the parts that its transpose has as csr
+    is_csr = matrix.format == "csr"
+    shape = matrix.shape if is_csr else matrix.shape[::-1]
+    csr = csr_from_parts(matrix.data, matrix.indices, matrix.indptr, shape, name)
+    return csr if is_csr else csr.T.tocsr()
+
+
+def _csr_of_other_format(matrix: Any, name: str) -> Csr:
+    """Return the csr of a matrix that is neither csr nor csc, if its parts are sound."""
     shape = matrix.shape
     kind = matrix.format
-    if kind in ("csr", "csc"):
-        csr = csr_from_parts(
-            matrix.data,
-            matrix.indices,
-            matrix.indptr,
-            shape if kind == "csr" else shape[::-1],
-            name,
-        )
-        return csr if kind == "csr" else csr.T.tocsr()
     try:
         # the constructors of dia_array and coo_array look at their parts
         if kind == "dia":
             matrix = sparse.dia_array((matrix.data, matrix.offsets), shape=shape)
-        elif kind == "lil" and [*map(len, matrix.rows), shape[0]] != [
-            *map(len, matrix.data),
-            len(matrix.rows),
-        ]:
-            raise ValueError("its rows have not a column for each value")
+        elif kind == "lil":
+            _require_lil_parts(matrix)
         entries = matrix.tocoo()
-        return sparse.csr_array(
-            sparse.coo_array((entries.data, entries.coords), shape=shape),
-            dtype=np.float64,
-        )
+        coo: Any = sparse.coo_array((entries.data, entries.coords), shape=shape)
+        return sparse.csr_array(coo, dtype=np.float64)
     except (
         AttributeError,
         IndexError,
@@ -84,9 +106,17 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
         ) from None
 
 
+def _require_lil_parts(matrix: Any) -> None:
+    """Raise a ValueError where the rows of a lil matrix do not fit their values."""
+    n_columns = [*map(len, matrix.rows), matrix.shape[0]]
+    n_values = [*map(len, matrix.data), len(matrix.rows)]
+    if n_columns != n_values:
+        raise ValueError("its rows have not a column for each value")
+
+
 def csr_from_parts(
     data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str
-) -> sparse.csr_array:
+) -> Csr:
     """Make the csr of these parts.
 
     Raises an ArgumentError, with the part and the place, where they are not those of a
@@ -121,63 +151,53 @@ def csr_from_parts(
     if pointers[0] != 0:
         raise ArgumentError(f"{name}.indptr[0]", f"must be 0; it is {pointers[0]}")
     used = int(pointers[-1])
-    for array, part, bad, rule in (
-        (
-            pointers,
-            "indptr",
-            np.r_[False, pointers[1:] < pointers[:-1]],
-            "at least the one before",
-        ),
-        (
-            pointers,
-            "indptr",
-            pointers > len(columns),
-            f"at most {len(columns)}, the entries",
-        ),
-        (
-            columns,
-            "indices",
-            (columns[:used] < 0) | (columns[:used] >= shape[1]),
-            f"in 0..{shape[1] - 1}",
-        ),
-    ):
-        if bad.any():
-            k = int(bad.argmax())
-            raise ArgumentError(
-                f"{name}.{part}[{k}]", f"must be {rule}; it is {array[k]}"
-            )
+    is_decreasing = np.r_[False, pointers[1:] < pointers[:-1]]
+    is_outside = (columns[:used] < 0) | (columns[:used] >= shape[1])
+    n_entries = len(columns)
+    _require(pointers, ~is_decreasing, f"{name}.indptr", "at least the one before")
+    _require(
+        pointers,
+        pointers <= n_entries,
+        f"{name}.indptr",
+        f"at most {n_entries}, the entries",
+    )
+    _require(columns, ~is_outside, f"{name}.indices", f"in 0..{shape[1] - 1}")
     return sparse.csr_array(
         (values[:used].astype(np.float64, copy=False), columns[:used], pointers),
         shape=shape,
     )
 
 
-def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
+def _require(array: NDArray[Any], is_good: BoolArray, name: str, rule: str) -> None:
+    """Raise an ArgumentError with the first value of ``array`` that is not good."""
+    if not is_good.all():
+        k = int(is_good.argmin())
+        raise ArgumentError(f"{name}[{k}]", f"must be {rule}; it is {array[k]}")
+
+
+def freeze_csr(csr: Csr) -> Csr:
     """Make the arrays of a matrix read-only and return it."""
     for array in (csr.data, csr.indices, csr.indptr):
         freeze(array)
     return csr
 
 
-def csr_on_pattern(
-    pattern: sparse.csr_array, data: Array, *, own: bool = False
-) -> sparse.csr_array:
+def csr_on_pattern(pattern: CsrParts, data: Array, *, own: bool = False) -> Csr:
     """Return the matrix with the entries of ``pattern`` and the values ``data``.
 
     Zeros stay. The values are copied unless they are the matrix's ``own``.
     """
     values = data if own else np.array(data, dtype=np.float64)
-    return freeze_csr(
-        sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape)
-    )
+    parts = (values, pattern.indices, pattern.indptr)
+    return freeze_csr(sparse.csr_array(parts, pattern.shape))
 
 
-def row_of_entry(csr: sparse.csr_array) -> IntArray:
+def row_of_entry(csr: CsrParts) -> IntArray:
     """Return the row of each stored entry."""
     return np.repeat(np.arange(csr.shape[0], dtype=np.int64), np.diff(csr.indptr))
 
 
-def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
+def row_sums(csr: CsrParts, data: Array | None = None) -> Array:
     """Sum the stored entries of each row, or ``data`` on the same pattern."""
     values = csr.data if data is None else data
     result = np.zeros(csr.shape[0])
@@ -187,34 +207,31 @@ def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
     return result
 
 
-def row_variances(csr: sparse.csr_array, probability: Array, values: Array) -> Array:
+def row_variances(csr: CsrParts, probability: Array, values: Array) -> Array:
     """Compute the variance of ``values`` over each row with these probabilities."""
     mean = row_sums(csr, probability * values)
     return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
 
 
-def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
+def ratio_on(pattern: CsrParts, ratio: Any, name: str) -> Array:
     """Return a ratio's values on the entries of ``pattern``, 0 where it has none.
 
     The ratio is csr of the same shape, or an object with such ``values``.
     """
     values = getattr(ratio, "values", ratio)
-    if not sparse.issparse(values) or values.shape != pattern.shape:
+    if not is_sparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ArgumentError(
             name, f"must be sparse of shape {pattern.shape}, row s*A + a; got {found}"
         )
-    if (
-        values.format == "csr"
-        and values.dtype == np.float64
-        and _has_same_pattern(values, pattern)
-    ):
+    is_float_csr = values.format == "csr" and values.dtype == np.float64
+    if is_float_csr and _has_same_pattern(values, pattern):
         return np.asarray(values.data)
     return align(canonical(check_csr(values, name), drop_zeros=False), pattern)[0]
 
 
 def find(
-    csr: sparse.csr_array, rows: IntArray, columns: IntArray
+    csr: CsrParts, rows: IntArray, columns: NDArray[np.integer[Any]]
 ) -> tuple[IntArray, BoolArray]:
     """Return where each (row, column) is in ``csr.data``, and whether it is stored.
 
@@ -228,7 +245,7 @@ def find(
     return np.maximum(number - 1, 0), number > 0
 
 
-def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
+def _has_same_pattern(one: CsrParts, other: CsrParts) -> bool:
     """Say whether two matrices have the same entries in the same places."""
     return all(
         np.array_equal(getattr(one, part), getattr(other, part))
@@ -236,33 +253,26 @@ def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
     )
 
 
-def align(
-    source: sparse.csr_array, pattern: sparse.csr_array
-) -> tuple[Array, BoolArray]:
+def align(source: Csr, pattern: CsrParts) -> tuple[Array, BoolArray]:
     """Return the values of ``source`` on ``pattern``, and where it has entries.
 
     Values are 0 where ``source`` has no entry. Rows are sorted.
     """
     if _has_same_pattern(source, pattern):
-        return np.array(source.data, dtype=np.float64), np.ones(
-            pattern.nnz, dtype=np.bool_
-        )
+        values = np.array(source.data, dtype=np.float64)
+        return values, np.ones(pattern.nnz, dtype=np.bool_)
     position, stored = find(source, row_of_entry(pattern), pattern.indices)
     values = np.zeros(pattern.nnz)
     values[stored] = source.data[position[stored]]
     return values, stored
 
 
-def align_to(
-    source: sparse.csr_array, pattern: sparse.csr_array
-) -> tuple[sparse.csr_array, Array]:
+def align_to(source: Csr, pattern: CsrParts) -> tuple[Csr, Array]:
     """Return ``source``, and its values on the entries of ``pattern``.
 
     Where it has the same entries it takes the pattern's arrays.
     """
     values = freeze(align(source, pattern)[0])
-    return (
-        csr_on_pattern(pattern, values, own=True)
-        if _has_same_pattern(source, pattern)
-        else source
-    ), values
+    if _has_same_pattern(source, pattern):
+        source = csr_on_pattern(pattern, values, own=True)
+    return source, values

@@ -1,11 +1,11 @@
 """CSV and parquet files of a log, read in pieces of raw values.
 
-A piece has some thousand rows, in the order of the file. pandas reads CSV, in half of the time of DuckDB's reader
-(10^6 rows of 6 columns: 0.17 s of CPU, 0.29 s), and Python what is small. DuckDB reads
-parquet in one thread, so that the same file gives the same bits; it may open that file
-alone and loads no extension. Parquet of our own has a digest of all its other bytes,
-which no page of parquet has, in its metadata. ``rules.py`` says which values are those
-of a log.
+A piece has some thousand rows, in the order of the file. pandas reads CSV, in half of
+the time of DuckDB's reader (10^6 rows of 6 columns: 0.17 s of CPU, 0.29 s), and Python
+what is small. DuckDB reads parquet in one thread, so that the same file gives the same
+bits; it may open that file alone and loads no extension. Parquet of our own has a
+digest of all its other bytes, which no page of parquet has, in its metadata.
+``rules.py`` says which values are those of a log.
 """
 
 from __future__ import annotations

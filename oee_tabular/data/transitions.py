@@ -205,8 +205,8 @@ class Transitions(LogColumns):
         Parameters
         ----------
         frame : FrameLike
-            The frame, one transition a row, of any library that narwhals reads. Its index, and columns that a log does not
-            have, are left out.
+            The frame, one transition a row, of any library that narwhals reads. Its
+            index, and columns that a log does not have, are left out.
         simulator : FiniteMDP, optional
             The model to whose names those of states and actions are matched at once.
             None means that the log keeps the names (``numbered``).

@@ -5,14 +5,16 @@ The entries are those of rows s*A + a.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._sparse import (
+    CsrParts,
     align,
     align_to,
     canonical,
@@ -23,7 +25,7 @@ from oee_tabular._sparse import (
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import NAMELESS, Names
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 _SHAPES = (
     "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state"
@@ -51,32 +53,36 @@ class CsrArrays(NamedTuple):
     def from_dense(cls, rows: Array, mask: BoolArray | None = None) -> CsrArrays:
         """Take the entries of an (n, m) array that are not 0, or those of ``mask``."""
         row, column = (rows if mask is None else mask).nonzero()
-        kind = np.int32 if max(len(row), *rows.shape) < 2**31 else np.int64
+        has_small_indices = max(len(row), *rows.shape) < 2**31
+        kind = np.int32 if has_small_indices else np.int64
         indptr = row.searchsorted(np.arange(len(rows) + 1)).astype(kind)
         return cls(
             freeze(indptr),
             freeze(column.astype(kind)),
             freeze(rows[row, column]),
-            rows.shape,
+            cast(tuple[int, int], rows.shape),
         )
 
     @classmethod
-    def from_matrix(cls, matrix: sparse.csr_array) -> CsrArrays:
+    def from_matrix(cls, matrix: Csr) -> CsrArrays:
         """Take the arrays of a canonical matrix."""
-        return cls(matrix.indptr, matrix.indices, matrix.data, matrix.shape)
+        # indices have 32 bits where they fit, which their type does not tell
+        indptr = cast(IntArray, matrix.indptr)
+        indices = cast(IntArray, matrix.indices)
+        return cls(indptr, indices, matrix.data, matrix.shape)
 
-    def to_matrix(self) -> sparse.csr_array:
+    def to_matrix(self) -> Csr:
         """Return scipy's matrix of these arrays."""
-        matrix = csr_on_pattern(self, self.data, own=True)
-        # scipy took views of them
+        matrix: Any = csr_on_pattern(self, self.data, own=True)
+        # the arrays themselves, of which scipy took views
         matrix.indptr = self.indptr
         matrix.indices = self.indices
         matrix.data = self.data
-        return matrix
+        return cast(Csr, matrix)
 
 
 def name_transition(
-    matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS
+    matrix: CsrParts, entry: int, n_actions: int, names: Names = NAMELESS
 ) -> str:
     """Describe an entry of rows s*A + a as ``s=3, a=1 -> s'=7``.
 
@@ -87,12 +93,14 @@ def name_transition(
 
 
 def csr_from_entries(
-    rows: object, columns: object, data: Array, shape: tuple[int, int]
-) -> sparse.csr_array:
+    rows: NDArray[np.integer[Any]],
+    columns: NDArray[np.integer[Any]],
+    data: Array,
+    shape: tuple[int, int],
+) -> Csr:
     """Make the csr of exactly these entries, explicit zeros included."""
-    return canonical(
-        sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False
-    )
+    matrix = sparse.csr_array((data, (rows, columns)), shape=shape)
+    return canonical(matrix, drop_zeros=False)
 
 
 def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
@@ -105,26 +113,29 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
         # those of a pickle can be written to
         for part in (csr.indptr, csr.indices, csr.data):
             freeze(part)
-    elif sparse.issparse(transitions):
+    elif _checks.is_sparse(transitions):
         csr = _check_sparse_transitions(transitions)
     else:
-        dense = _checks.float_array(transitions, "transitions")
-        if dense.ndim != 3 or dense.shape[0] != dense.shape[2] or dense.size == 0:
-            is_swapped = (
-                dense.ndim == 3 and dense.shape[0] != dense.shape[1] == dense.shape[2]
-            )
-            hint = (
-                ": the axes look like (A, S, S); use P.transpose(1, 0, 2)" * is_swapped
-            )
-            raise ArgumentError(
-                "transitions", f"must {_SHAPES}; it has shape {dense.shape}{hint}"
-            )
-        _checks.require_nonnegative(dense, "transitions")
-        dense = _checks.scale_if_single(dense, transitions)
-        _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
-        csr = CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
+        csr = _check_dense_transitions(transitions)
     n_rows, n_states = csr.shape
     return csr, n_states, n_rows // n_states
+
+
+def _check_dense_transitions(transitions: Any) -> CsrArrays:
+    """Check a dense P of shape (S, A, S) and return its entries."""
+    dense = _checks.float_array(transitions, "transitions")
+    shape = dense.shape
+    if dense.ndim != 3 or shape[0] != shape[2] or dense.size == 0:
+        hint = ""
+        if dense.ndim == 3 and shape[0] != shape[1] == shape[2]:
+            hint = ": the axes look like (A, S, S); use P.transpose(1, 0, 2)"
+        raise ArgumentError(
+            "transitions", f"must {_SHAPES}; it has shape {shape}{hint}"
+        )
+    _checks.require_nonnegative(dense, "transitions")
+    dense = _checks.scale_if_single(dense, transitions)
+    _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
+    return CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
 
 
 def _check_sparse_transitions(transitions: Any) -> CsrArrays:
@@ -148,60 +159,65 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
 
 def check_rewards(
     rewards: Any, csr: CsrArrays, n_actions: int
-) -> tuple[Array, Array | None, Any]:
+) -> tuple[Array, Array | None, Array | Csr | None]:
     """Check rewards and return r(s, a), r(s, a, s') on the entries of P, and its table.
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s'). In the table a nan, or no entry, means
     undefined; the last two are None where rewards do not depend on s'.
     """
     n_states = csr.shape[1]
-    shape = n_states, n_actions, n_states
-    if sparse.issparse(rewards):
-        table, data = align_to(_check_sparse_rewards(rewards, csr, n_actions), csr)
+    table: Any
+    if _checks.is_sparse(rewards):
+        given = _check_sparse_rewards(rewards, csr, n_actions)
+        table, data = align_to(given, csr)
     else:
-        array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
-        if array.shape != shape[: array.ndim]:
-            raise ArgumentError(
-                "rewards",
-                f"must have shape {shape[: array.ndim]}; it has shape {array.shape}",
-            )
-        if array.ndim < 3:
-            _checks.require_finite(array, "rewards")
-            return (
-                (
-                    array
-                    if array.ndim == 2
-                    else freeze(np.repeat(array[:, None], n_actions, axis=1))
-                ),
-                None,
-                None,
-            )
-        if np.isinf(array).any():
-            first = tuple(np.argwhere(np.isinf(array))[0])
-            raise ArgumentError(
-                _checks.place("rewards", first), f"must be finite; it is {array[first]}"
-            )
-        row = row_of_entry(csr)
-        table = array
-        data = freeze(array.reshape(csr.shape)[row, csr.indices])
-        if (bad := np.flatnonzero(np.isnan(data))).size:
-            where = _checks.place(
-                "rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]])
-            )
-            raise ArgumentError(
-                where,
-                "must be finite where the transition has a probability; it is nan",
-            )
-    return (
-        freeze(row_sums(csr, csr.data * data).reshape(n_states, n_actions)),
-        data,
-        table,
-    )
+        table = _check_dense_rewards(rewards, n_states, n_actions)
+        if table.ndim == 1:
+            return freeze(np.repeat(table[:, None], n_actions, axis=1)), None, None
+        if table.ndim == 2:
+            return table, None, None
+        data = _rewards_on_entries(table, csr, n_actions)
+    expected = row_sums(csr, csr.data * data).reshape(n_states, n_actions)
+    return freeze(expected), data, table
 
 
-def _check_sparse_rewards(
-    rewards: Any, csr: CsrArrays, n_actions: int
-) -> sparse.csr_array:
+def _check_dense_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
+    """Check dense rewards and return them as a read-only array of 1, 2 or 3 dimensions.
+
+    One of 3 dimensions may have nan.
+    """
+    array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
+    shape = (n_states, n_actions, n_states)[: array.ndim]
+    if array.shape != shape:
+        raise ArgumentError(
+            "rewards", f"must have shape {shape}; it has shape {array.shape}"
+        )
+    if array.ndim < 3:
+        _checks.require_finite(array, "rewards")
+    elif np.isinf(array).any():
+        first = tuple(np.argwhere(np.isinf(array))[0])
+        raise ArgumentError(
+            _checks.place("rewards", first), f"must be finite; it is {array[first]}"
+        )
+    return array
+
+
+def _rewards_on_entries(array: Array, csr: CsrArrays, n_actions: int) -> Array:
+    """Return a dense r(s, a, s') on the entries of P, where none may be nan."""
+    row = row_of_entry(csr)
+    data = freeze(array.reshape(csr.shape)[row, csr.indices])
+    bad = np.flatnonzero(np.isnan(data))
+    if bad.size:
+        state, action = divmod(int(row[bad[0]]), n_actions)
+        index = (state, action, csr.indices[bad[0]])
+        raise ArgumentError(
+            _checks.place("rewards", index),
+            "must be finite where the transition has a probability; it is nan",
+        )
+    return data
+
+
+def _check_sparse_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> Csr:
     """Check sparse rewards and add a 0 wherever P has an entry and they have none."""
     if rewards.shape != csr.shape:
         raise ArgumentError(
@@ -220,19 +236,15 @@ def _check_sparse_rewards(
         return given
     rows = np.concatenate([row_of_entry(given), row_of_entry(csr)[absent]])
     columns = np.concatenate([given.indices, csr.indices[absent]])
-    return csr_from_entries(
-        rows, columns, np.pad(given.data, (0, len(rows) - given.nnz)), csr.shape
-    )
+    data = np.pad(given.data, (0, len(rows) - given.nnz))
+    return csr_from_entries(rows, columns, data, csr.shape)
 
 
 def check_terminal_state(value: object, n_states: int) -> IntArray:
     """Check ``terminal_state`` and return it as (S0,) numbers of states."""
     array = _checks.as_array(value, "terminal_state")
-    if (
-        array.ndim != 1
-        or array.dtype.kind not in "iu"
-        or not 0 < array.size <= n_states
-    ):
+    is_integers = array.ndim == 1 and array.dtype.kind in "iu"
+    if not is_integers or not 0 < array.size <= n_states:
         raise ArgumentError(
             "terminal_state",
             f"must be 1 to {n_states} integers; got {array.dtype} of shape"
@@ -252,7 +264,7 @@ def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
         )
 
 
-def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
+def check_layout(value: Any, n_states: int, name: str = "layout") -> Array:
     """Check coordinates of states and return them as a new (S, c) array.
 
     They are (S,) or (S, c) finite numbers, or a grid's shape (height, width). In a grid
@@ -260,18 +272,11 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
     grid's shape; of two states it may also be their coordinates, where its product is
     not 2.
     """
-    if (
-        isinstance(value, tuple)
-        and len(value) == 2
-        and all(_checks.is_integer(part) for part in value)
-    ):
+    is_pair = isinstance(value, tuple) and len(value) == 2
+    if is_pair and all(map(_checks.is_integer, value)):
         height, width = (int(part) for part in value)
         if min(height, width) > 0 and height * width == n_states:
-            return freeze(
-                np.stack(np.divmod(np.arange(n_states), width), axis=1).astype(
-                    np.float64
-                )
-            )
+            return freeze(grid_coordinates(n_states, width))
         if n_states != 2:
             raise ArgumentError(
                 name,
@@ -287,3 +292,9 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
         )
     _checks.require_finite(array, name)
     return freeze(array.reshape(n_states, -1))
+
+
+def grid_coordinates(n_states: int, width: int) -> Array:
+    """Return the (S, 2) row and column of each cell of a grid."""
+    row_and_column = np.divmod(np.arange(n_states), width)
+    return np.stack(row_and_column, axis=1).astype(np.float64)

@@ -37,7 +37,7 @@ from oee_tabular.mdp.naming import (
     to_plain,
 )
 from oee_tabular.mdp.support import require_log
-from oee_tabular.typing import Array, IntArray, Seed
+from oee_tabular.typing import Array, Csr, IntArray, Seed
 
 
 class Sampling(NamedTuple):
@@ -58,7 +58,7 @@ class Sampling(NamedTuple):
 
     pairs: Array
     starts: float
-    reward_error: sparse.csr_array | None
+    reward_error: Csr | None
 
 
 def log_arguments(
@@ -81,14 +81,7 @@ def log_arguments(
     n_actions, actions, (action,) = _resolve(
         log, "action", ("action",), sizes[1], names[1]
     )
-    reward = np.zeros(len(state)) if log.reward is None else log.reward
-    if rewards is None and (log.reward is None or np.isnan(reward).any()):
-        lacking = (
-            "the log has none"
-            if log.reward is None
-            else "some rows of the log have none"
-        )
-        raise ArgumentError("rewards", f"must be given where {lacking}; they are None")
+    reward = _log_rewards(log, rewards)
     samples = Outcomes(
         state,
         action,
@@ -114,30 +107,44 @@ def log_arguments(
     )
 
 
+def _log_rewards(log: Any, rewards: Any) -> Array:
+    """Return the rewards of a log's rows, 0 or nan where one is missing.
+
+    Raises an ArgumentError where one is missing and no ``rewards`` are given.
+    """
+    lacking = ""
+    reward: Array = np.zeros(len(log.state)) if log.reward is None else log.reward
+    if log.reward is None:
+        lacking = "the log has none"
+    elif np.isnan(reward).any():
+        lacking = "some rows of the log have none"
+    if lacking and rewards is None:
+        raise ArgumentError("rewards", f"must be given where {lacking}; they are None")
+    return reward
+
+
 def _resolve(
     log: Any, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
     """Return the number of states or actions, their names, and their columns."""
     own = getattr(log, f"{label}_names")
     codes = [getattr(log, column) for column in columns]
-    called = (
-        own
-        if names is None
-        else _checks.collection(
-            names, f"{label}_names", "a sequence of texts or tuples"
-        )
-    )
+    called = own
+    if names is not None:
+        rule = "a sequence of texts or tuples"
+        called = _checks.collection(names, f"{label}_names", rule)
     largest = max(int(each.max()) for each in codes)
     if size is None:
         size = largest + 1 if called is None else len(called)
     number = _checks.positive_integer(size, f"n_{label}s")
     if own is None and number <= largest:
-        rule = (
-            f"n_{label}s must be at least {largest + 1}, for the log has {label}"
-            f" {largest}"
+        raise ArgumentError(
+            f"n_{label}s",
+            f"must be at least {largest + 1}, for the log has {label} {largest}; it is"
+            f" {number}",
         )
-        raise ValueError(f"{rule}; it is {number}")
-    called = None if called is None else check_names(called, f"{label}_names", number)
+    if called is not None:
+        called = check_names(called, f"{label}_names", number)
     if own is not None:
         codes = [
             renumber(each, own, called, number, f"log.{name}")
@@ -155,49 +162,13 @@ def env_arguments(
     """
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
-    if not hasattr(env, "step") or not hasattr(env, "reset"):
-        hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
-        raise ArgumentError(
-            "env", f"must be a Gymnasium environment; got {type(env).__name__}{hint}"
-        )
-    space = getattr(env, "observation_space", None)
-    actions = getattr(env, "action_space", None)
-    if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
-        raise ArgumentError(
-            "env.action_space", f"must be Discrete, from 0; it is {actions}"
-        )
-    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
-        raise ArgumentError(
-            "env.observation_space",
-            f"must be discrete (cut a continuous one into cells first); it is {space}",
-        )
-    explorer = Explorer(
-        env, int(getattr(actions, "n", 0)), n_wanted, _checks.generator(seed)
-    )
+    n_actions = _check_environment(env)
+    explorer = Explorer(env, n_actions, n_wanted, _checks.generator(seed))
     explorer.explore(limit)
-    met = list(explorer.states)
-    state_names = None
-    if all(isinstance(state, int) and state >= 0 for state in met):
-        number = np.array(met)
-        n_states = max(int(getattr(space, "n", 0)), 1 + max(met))
-    else:
-        state_names = check_names(
-            _sort_states(met), "the environment's observations", len(met)
-        )
-        places = {name: k for k, name in enumerate(state_names)}
-        number = np.array([places[state] for state in met])
-        n_states = len(met)
+    n_states, state_names, number = _number_states(env, list(explorer.states))
     names = Names(state_names)
     if explorer.lacking:
-        rule = (
-            f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}"
-        )
-        total = f"{explorer.n_actions * len(explorer.open)} reached state-action pairs"
-        short = [(number[s], a) for s, a in sorted(explorer.lacking)]
-        _checks.warn(
-            f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}",
-            SimulatorWarning,
-        )
+        _warn_of_lacking_pairs(explorer, number, names, limit)
     state, action, following, reward, terminated = (
         np.array(c) for c in zip(*explorer.transitions, strict=True)
     )
@@ -214,9 +185,60 @@ def env_arguments(
         number[explorer.starts],
         None,
         names,
-        (n_states, explorer.n_actions),
+        (n_states, n_actions),
         None,
         None,
+    )
+
+
+def _check_environment(env: Any) -> int:
+    """Return the number of actions of an environment that must be discrete."""
+    if not hasattr(env, "step") or not hasattr(env, "reset"):
+        hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
+        raise ArgumentError(
+            "env", f"must be a Gymnasium environment; got {type(env).__name__}{hint}"
+        )
+    space = getattr(env, "observation_space", None)
+    actions = getattr(env, "action_space", None)
+    if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
+        raise ArgumentError(
+            "env.action_space", f"must be Discrete, from 0; it is {actions}"
+        )
+    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be discrete (cut a continuous one into cells first); it is {space}",
+        )
+    return int(getattr(actions, "n", 0))
+
+
+def _number_states(
+    env: Any, met: list[Any]
+) -> tuple[int, tuple[Name, ...] | None, IntArray]:
+    """Return the number of states, their names, and the number of each state met.
+
+    Observations that are integers are numbers of states; others become names.
+    """
+    if all(isinstance(state, int) and state >= 0 for state in met):
+        space = getattr(env, "observation_space", None)
+        n_states = max(int(getattr(space, "n", 0)), 1 + max(met))
+        return n_states, None, np.array(met)
+    names = check_names(_sort_states(met), "the environment's observations", len(met))
+    places = {name: k for k, name in enumerate(names)}
+    return len(met), names, np.array([places[state] for state in met])
+
+
+def _warn_of_lacking_pairs(
+    explorer: Explorer, number: IntArray, names: Names, limit: int
+) -> None:
+    """Warn of the state-action pairs that have too few samples after the last step."""
+    total = explorer.n_actions * len(explorer.open)
+    short = [(number[s], a) for s, a in sorted(explorer.lacking)]
+    _checks.warn(
+        f"samples_per_pair, {explorer.n_wanted}, was not reached within max_steps,"
+        f" {limit}, in {len(short)} of the {total} reached state-action pairs:"
+        f" {_list_pairs(short, names)}",
+        SimulatorWarning,
     )
 
 
@@ -230,9 +252,8 @@ def _sort_states(states: list[Any]) -> list[Any]:
 
 def _list_pairs(pairs: Any, names: Names) -> str:
     """Name the first three state-action pairs."""
-    return "; ".join(names.pair(s, a) for s, a in pairs[:3]) + "; ..." * (
-        len(pairs) > 3
-    )
+    shown = "; ".join(names.pair(s, a) for s, a in pairs[:3])
+    return f"{shown}; ..." if len(pairs) > 3 else shown
 
 
 def _empirical_arguments(
@@ -250,11 +271,9 @@ def _empirical_arguments(
     of each transition.
     """
     n_states, n_actions = shape
-    law = (
-        np.bincount(starts, minlength=n_states) / len(starts)
-        if initial is None
-        else initial
-    )
+    law = initial
+    if law is None:
+        law = np.bincount(starts, minlength=n_states) / len(starts)
     outcomes = _fill_pairs(samples, law, n_actions, names)
     by_pair = None
     if rewards is not None:
@@ -262,9 +281,8 @@ def _empirical_arguments(
         if table.ndim < 3:
             by_pair = table.reshape(n_states, -1)
         else:
-            outcomes = outcomes._replace(
-                reward=table[outcomes.state, outcomes.action, outcomes.next_state]
-            )
+            reward = table[outcomes.state, outcomes.action, outcomes.next_state]
+            outcomes = outcomes._replace(reward=reward)
     arguments = build_arguments(
         outcomes,
         law,
@@ -276,9 +294,8 @@ def _empirical_arguments(
     )
     counts = arguments["transitions"]
     terminal = arguments["terminal_state"]
-    frequencies = csr_on_pattern(
-        counts, counts.data / row_sums(counts)[row_of_entry(counts)], own=True
-    )
+    shares = counts.data / row_sums(counts)[row_of_entry(counts)]
+    frequencies = csr_on_pattern(counts, shares, own=True)
     n_starts = float(len(starts)) if initial is None else np.inf
     sampling = _count_samples(
         samples, terminal, counts.shape, n_starts, has_rewards=rewards is None
@@ -289,11 +306,10 @@ def _empirical_arguments(
 def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
     """Check rewards (S,), (S, A) or (S, A, S) and return them dense."""
     shape = n_states, n_actions, n_states
-    given = (
-        check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
-    )
+    is_sparse = _checks.is_sparse(rewards)
+    given = check_csr(rewards, "rewards").toarray() if is_sparse else rewards
     table = _checks.float_array(given, "rewards", ndim=(1, 2, 3))
-    if sparse.issparse(rewards) and table.shape == (n_states * n_actions, n_states):
+    if is_sparse and table.shape == (n_states * n_actions, n_states):
         table = table.reshape(shape)
     if table.shape != shape[: table.ndim]:
         raise ArgumentError(
@@ -314,15 +330,11 @@ def _fill_pairs(
     """
     state, action, following, _, _, terminated = samples
     n_states = len(initial)
-    counts = np.bincount(
-        state * n_actions + action, minlength=n_states * n_actions
-    ).reshape(n_states, n_actions)
+    row = state * n_actions + action
+    counts = np.bincount(row, minlength=n_states * n_actions).reshape(-1, n_actions)
     is_left = counts.any(axis=1)
-    is_alive = (
-        is_left
-        | (initial > 0)
-        | (np.bincount(following[~terminated], minlength=n_states) > 0)
-    )
+    is_entered = np.bincount(following[~terminated], minlength=n_states) > 0
+    is_alive = is_left | (initial > 0) | is_entered
     is_ended = np.bincount(following[terminated], minlength=n_states) > 0
     filled = np.argwhere((counts == 0) & is_alive[:, None])
     if len(filled):
@@ -337,11 +349,8 @@ def _fill_pairs(
     parts = [samples]
     for a in range(n_actions):
         others = np.flatnonzero((is_left & (counts[:, a] == 0))[state])
-        parts.append(
-            Outcomes._make(part[others] for part in samples)._replace(
-                action=np.full(len(others), a)
-            )
-        )
+        copies = Outcomes._make(part[others] for part in samples)
+        parts.append(copies._replace(action=np.full(len(others), a)))
         parts.append(
             Outcomes(stays, np.full(len(stays), a), stays, one, 0.0 * one, one < 0)
         )
@@ -375,22 +384,19 @@ def _count_samples(
     deviation = np.maximum(squares.data - total.data**2 / number.data, 0.0)
     freedom = float((number.data - 1.0).sum())
     pooled = float(deviation.sum()) / freedom if freedom else 0.0
-    variance = (
-        np.where(
-            number.data > 1, deviation / np.maximum(number.data - 1.0, 1.0), pooled
-        )
-        / number.data
-    )
+    own = deviation / np.maximum(number.data - 1.0, 1.0)
+    variance = np.where(number.data > 1, own, pooled) / number.data
     return Sampling(pairs, starts, csr_on_pattern(number, variance, own=True))
 
 
-GAMMA = 0.99  # of the exploration alone: a pair 1000 steps away still counts 4e-5
-# of value iteration
-TOLERANCE = 1e-6
-MAX_SWEEPS = 2000
-MIN_PLAN_AGE = 64  # steps, or half the number of states: a younger plan is not renewed
-# of the steps that a plan decides: an environment that is not Markov cannot lead it in
-# circles
+# The discount of the exploration alone: a pair 1000 steps away still counts 4e-5.
+EXPLORATION_DISCOUNT = 0.99
+VALUE_TOLERANCE = 1e-6  # of value iteration, absolute; values are at most 1
+MAX_SWEEPS = 2000  # of value iteration
+# Steps, or half the number of states if that is more: a younger plan is not renewed.
+MIN_PLAN_AGE = 64
+# The share of random steps among those that a plan decides: an environment that is not
+# Markov cannot lead it in circles.
 RANDOM_SHARE = 0.05
 MAX_CUTS = 10  # episodes truncated in a state, before it counts as out of reach
 RESET = -1  # the action of leaving an episode; the next state where it terminates
@@ -426,9 +432,8 @@ class Explorer:
         self.lacking: set[tuple[int, int]] = set()
         self.open: set[int] = set()
         self._counts: Counter[tuple[int, int]] = Counter()
-        self._outcomes: defaultdict[tuple[int, int], Counter[int]] = defaultdict(
-            Counter
-        )
+        self._outcomes: defaultdict[tuple[int, int], Counter[int]]
+        self._outcomes = defaultdict(Counter)
         self._cuts: Counter[int] = Counter()
         self._best: list[int] = []
         self._values: list[list[float]] = []
@@ -439,9 +444,9 @@ class Explorer:
         seed: int | None = int(self.generator.integers(2**31))
         is_over = True
         state = 0
-        while len(self.transitions) < max_steps and (
-            self.lacking or not self.transitions
-        ):
+        while len(self.transitions) < max_steps:
+            if self.transitions and not self.lacking:
+                break
             is_first = is_over
             if is_over:
                 state = self._number(self.env.reset(seed=seed)[0])
@@ -465,16 +470,18 @@ class Explorer:
         self._counts[state, action] += 1
         if self._counts[state, action] == self.n_wanted:
             self.lacking.discard((state, action))
-        if (
-            not terminated
-            and truncated
-            and not any(self._counts[following, a] for a in range(self.n_actions))
-        ):
+        is_cut = truncated and not terminated
+        if is_cut and not self._was_left(following):
+            # no episode may ever act there, and then its pairs cannot have samples
             self._cuts[following] += 1
             self._set_open(following, self._cuts[following] < MAX_CUTS)
         elif not terminated:
             self._set_open(following, True)
         return following, bool(terminated or truncated)
+
+    def _was_left(self, state: int) -> bool:
+        """Say whether any action was taken in a state."""
+        return any(self._counts[state, a] for a in range(self.n_actions))
 
     def _number(self, observation: object) -> int:
         """Return the number of an observation, a new one if it was not met before."""
@@ -507,9 +514,9 @@ class Explorer:
         if self.generator.random() < RANDOM_SHARE:
             return int(self.generator.integers(self.n_actions))
         best = self._best[state]
-        return (
-            int(np.argmax(self._values[state])) if best == RESET and is_first else best
-        )
+        if best == RESET and is_first:  # a reset would lead to where the episode is
+            return int(np.argmax(self._values[state]))
+        return best
 
     def _plan(self) -> None:
         """Solve for V by value iteration from 0, and keep the best actions and values.
@@ -522,33 +529,33 @@ class Explorer:
             is_lacking[pair] = True
         for pair in self._counts:
             is_taken[pair] = True
-        entries = [
-            (
-                number / self._counts[s, a],
-                s * self.n_actions + a,
-                n if k == RESET else k,
-            )
-            for (s, a), met in self._outcomes.items()
-            for k, number in met.items()
-        ]
-        share, rows, columns = (np.array(part) for part in zip(*entries, strict=True))
-        frequencies = sparse.csr_array(
-            (share, (rows, columns)), shape=(n * self.n_actions, n + 1)
-        )
+        frequencies: Any = self._frequencies()
         starts = np.bincount(self.starts, minlength=n) / len(self.starts)
         values = np.zeros(n + 1)  # the last one is V_0
         for _ in range(MAX_SWEEPS):
-            ahead = GAMMA * (frequencies @ values).reshape(n, -1)
+            ahead = EXPLORATION_DISCOUNT * (frequencies @ values).reshape(n, -1)
             best = np.where(is_lacking, 1.0, ahead).max(axis=1)
-            new = np.maximum(best, GAMMA * values[n])
+            new = np.maximum(best, EXPLORATION_DISCOUNT * values[n])
             new = np.append(new, starts @ new)
             change = float(np.abs(new - values).max())
             values = new
-            if change < TOLERANCE:
+            if change < VALUE_TOLERANCE:
                 break
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
-        self._best = np.where(
-            best < GAMMA * values[n] - TOLERANCE, RESET, actions
-        ).tolist()
+        is_reset_better = best < EXPLORATION_DISCOUNT * values[n] - VALUE_TOLERANCE
+        self._best = np.where(is_reset_better, RESET, actions).tolist()
         self._values = np.where(is_taken, ahead, 1.0).tolist()
         self._plan_step = len(self.transitions)
+
+    def _frequencies(self) -> Csr:
+        """Return P_n as csr of shape (S*A, S + 1), its last column ended episodes."""
+        n = len(self.states)
+        entries = []
+        for (s, a), met in self._outcomes.items():
+            for k, number in met.items():
+                column = n if k == RESET else k
+                share = number / self._counts[s, a]
+                entries.append((share, s * self.n_actions + a, column))
+        shares, rows, columns = (np.array(part) for part in zip(*entries, strict=True))
+        shape = (n * self.n_actions, n + 1)
+        return sparse.csr_array((shares, (rows, columns)), shape=shape)

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_from_parts
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.empirical import Sampling
 from oee_tabular.mdp.naming import from_text, to_text
+from oee_tabular.typing import Csr
+
+if TYPE_CHECKING:
+    from oee_tabular.mdp.finite_mdp import FiniteMDP
 
 _PARTS = ("data", "indices", "indptr")
 
 
-def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
+def file_arrays(mdp: FiniteMDP, layout: object) -> dict[str, Any]:
     """Return the arrays that the file of an MDP holds.
 
     ``layout``: the one that was given, without the coordinates of names.
@@ -64,31 +67,28 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
         )
     n_states, n_actions = sizes.tolist()
     shape = n_states * n_actions, n_states
-    rewards = (
-        arrays["rewards"]
-        if "rewards" in arrays
-        else _read_csr(arrays, "rewards", shape)
-    )
-    return {
+    if "rewards" in arrays:
+        rewards = arrays["rewards"]
+    else:
+        rewards = _read_csr(arrays, "rewards", shape)
+    arguments = {
         "transitions": _read_csr(arrays, "transitions", shape),
         "rewards": rewards,
         "initial": arrays["initial"],
         "discount": float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
         "terminal_state": arrays["terminal_state"],
         "layout": arrays.get("layout"),
-        "sampling": (
-            _read_sampling(arrays, shape) if "sampling_pairs" in arrays else None
-        ),
-    } | {
-        name: from_text(arrays[name], name)
-        for name in ("state_names", "action_names")
-        if name in arrays
+        "sampling": None,
     }
+    if "sampling_pairs" in arrays:
+        arguments["sampling"] = _read_sampling(arrays, shape)
+    for name in ("state_names", "action_names"):
+        if name in arrays:
+            arguments[name] = from_text(arrays[name], name)
+    return arguments
 
 
-def _read_csr(
-    arrays: Mapping[str, Any], name: str, shape: tuple[int, int]
-) -> sparse.csr_array:
+def _read_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> Csr:
     """Read the csr matrix of this name from its three arrays."""
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in _PARTS)
     return csr_from_parts(data, indices, indptr, shape, name)
@@ -105,9 +105,7 @@ def _read_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Samplin
             "sampling_pairs",
             f"must be {shape[0]} numbers of samples, and sampling_starts positive",
         )
-    error = (
-        _read_csr(arrays, "sampling_error", shape)
-        if "sampling_error_data" in arrays
-        else None
-    )
+    error = None
+    if "sampling_error_data" in arrays:
+        error = _read_csr(arrays, "sampling_error", shape)
     return Sampling(pairs, starts, error)

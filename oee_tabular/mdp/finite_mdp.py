@@ -6,16 +6,16 @@ Its transitions are sparse rows s*A + a.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
 from oee_tabular._sparse import align, align_to, row_of_entry
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import (
     CsrArrays,
     check_layout,
@@ -30,14 +30,33 @@ from oee_tabular.mdp.gymnasium_table import read_table
 from oee_tabular.mdp.naming import (
     Name,
     Names,
+    NamesLike,
     check_names,
     coordinates,
     initial_distribution,
 )
 from oee_tabular.mdp.support import add_action_noise, add_support
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Csr,
+    IntArray,
+    IntArrayLike,
+    RealArrayLike,
+    Seed,
+    SparseLike,
+)
+
+if TYPE_CHECKING:
+    from gymnasium import Env
+
+    from oee_tabular.data import Transitions
 
 KIND = "finite_mdp"
+
+# a distribution of states, one state by number or name, or a mapping from states to
+# probabilities
+InitialLike: TypeAlias = RealArrayLike | str | tuple[Any, ...] | Mapping[Any, float]
 
 
 class FiniteMDP:
@@ -142,37 +161,36 @@ class FiniteMDP:
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
-    # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined
-    _reward_table: Any
+    # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined; None for r(s, a)
+    _reward_table: Array | Csr | None
     _own_layout: Array | None  # as given, without the names' coordinates
 
     def __init__(
         self,
-        transitions: object,
-        rewards: object,
-        initial: object,
+        transitions: RealArrayLike | SparseLike,
+        rewards: RealArrayLike | SparseLike,
+        initial: InitialLike,
         discount: float,
         *,
-        terminal_state: object = None,
-        layout: ArrayLike | None = None,
-        state_names: object = None,
-        action_names: object = None,
+        terminal_state: IntArrayLike | None = None,
+        layout: RealArrayLike | None = None,
+        state_names: NamesLike | None = None,
+        action_names: NamesLike | None = None,
         sampling: Sampling | None = None,
     ) -> None:
         csr, n_states, n_actions = check_transitions(transitions)
         expected, data, table = check_rewards(rewards, csr, n_actions)
-        names = (
-            None
-            if state_names is None
-            else check_names(state_names, "state_names", n_states)
-        )
-        start = initial_distribution(initial, names, n_states)
+        states = None
+        if state_names is not None:
+            states = check_names(state_names, "state_names", n_states)
+        actions = None
+        if action_names is not None:
+            actions = check_names(action_names, "action_names", n_actions)
+        start = initial_distribution(initial, states, n_states)
         own = None if layout is None else check_layout(layout, n_states)
-        terminal = (
-            np.arange(n_states)
-            if terminal_state is None
-            else check_terminal_state(terminal_state, n_states)
-        )
+        terminal = np.arange(n_states)
+        if terminal_state is not None:
+            terminal = check_terminal_state(terminal_state, n_states)
         vars(self).update(
             n_states=n_states,
             n_actions=n_actions,
@@ -182,13 +200,9 @@ class FiniteMDP:
             initial=freeze(_checks.distribution(start, "initial", (n_states,))),
             discount=_checks.number_in(discount, "discount", 0.0, 1.0),
             terminal_state=freeze(terminal),
-            layout=coordinates(names) if own is None else own,
-            state_names=names,
-            action_names=(
-                None
-                if action_names is None
-                else check_names(action_names, "action_names", n_actions)
-            ),
+            layout=coordinates(states) if own is None else own,
+            state_names=states,
+            action_names=actions,
             sampling=sampling,
             _reward_table=table,
             _own_layout=own,
@@ -217,17 +231,13 @@ class FiniteMDP:
 
     def _repr_html_(self) -> str:
         values = self.rewards if self.reward_data is None else self.reward_data
+        # adding 0.0 makes -0.0 plain
+        span = f"{values.min() + 0.0:.4g} to {values.max() + 0.0:.4g}"
         rows = [
             ("states", self.n_states),
             ("actions", self.n_actions),
             ("transitions", self.csr.nnz),
-            (
-                "rewards",
-                (
-                    f"{self._reward_form}, {values.min() + 0.0:.4g} to"
-                    f" {values.max() + 0.0:.4g}"
-                ),
-            ),
+            ("rewards", f"{self._reward_form}, {span}"),
             ("discount", f"{self.discount:g}"),
             ("first states", int((self.initial > 0).sum())),
             ("terminal states", int(self.absorbing().sum())),
@@ -240,7 +250,7 @@ class FiniteMDP:
         return "r(s, a)" if self.reward_data is None else "r(s, a, s')"
 
     @cached_property
-    def transitions(self) -> sparse.csr_array:
+    def transitions(self) -> Csr:
         """Return P(s' | s, a) as a read-only csr of shape (S*A, S).
 
         Its indices are sorted, and it has no explicit zeros.
@@ -248,7 +258,7 @@ class FiniteMDP:
         return self.csr.to_matrix()
 
     @cached_property
-    def transition_rewards(self) -> sparse.csr_array | None:
+    def transition_rewards(self) -> Csr | None:
         """Return r(s, a, s') as csr of shape (S*A, S), or None if rewards are r(s, a).
 
         It has an entry wherever r(s, a, s') is defined.
@@ -256,9 +266,8 @@ class FiniteMDP:
         if not isinstance(self._reward_table, np.ndarray):
             return self._reward_table
         rows = self._reward_table.reshape(self.csr.shape)
-        return align_to(
-            CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix(), self.csr
-        )[0]
+        defined = CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix()
+        return align_to(defined, self.csr)[0]
 
     @property
     def names(self) -> Names:
@@ -291,7 +300,7 @@ class FiniteMDP:
         leaves[state[self.csr.indices != state]] = True
         return ~leaves
 
-    def with_transitions(self, new: object) -> Self:
+    def with_transitions(self, new: RealArrayLike | SparseLike) -> Self:
         """Return the same MDP with other transition probabilities (eq. 3.4).
 
         Rewards r(s, a, s') are averaged again under the new probabilities.
@@ -313,29 +322,31 @@ class FiniteMDP:
             for which r(s, a, s') is not defined.
         """
         try:
-            csr, *sizes = check_transitions(new)
-        except ValueError as error:
-            raise ValueError(f"new {error}") from None
-        if tuple(sizes) != self.rewards.shape:
-            own = "{} states and {} actions".format(*self.rewards.shape)
-            raise ValueError(
-                f"new transitions must be for {own}; they are for {sizes[0]} and"
-                f" {sizes[1]}"
+            csr, n_states, n_actions = check_transitions(new)
+        except ArgumentError as error:
+            raise ArgumentError(f"new {error.argument}", error.rule) from None
+        if (n_states, n_actions) != self.rewards.shape:
+            raise ArgumentError(
+                "new transitions",
+                f"must be for {self.n_states} states and {self.n_actions} actions; they"
+                f" are for {n_states} and {n_actions}",
             )
-        if self.reward_data is not None:
-            undefined = np.flatnonzero(~align(self.transition_rewards, csr)[1])
+        defined = self.transition_rewards
+        if defined is not None:
+            undefined = np.flatnonzero(~align(defined, csr)[1])
             if undefined.size:
                 first = "; ".join(
                     name_transition(csr, k, self.n_actions, self.names)
                     for k in undefined[:3]
                 )
-                rule = "new transitions must stay where r(s, a, s') is defined"
-                raise ValueError(
-                    f"{rule}; {undefined.size} transitions do not, the first: {first}"
+                raise ArgumentError(
+                    "new transitions",
+                    "must stay where r(s, a, s') is defined;"
+                    f" {undefined.size} transitions do not, the first: {first}",
                 )
         return self._replace(transitions=csr, sampling=None)
 
-    def with_rewards(self, rewards: object) -> Self:
+    def with_rewards(self, rewards: RealArrayLike | SparseLike) -> Self:
         """Return the same MDP with other rewards.
 
         Parameters
@@ -368,7 +379,7 @@ class FiniteMDP:
         """
         return self._replace(discount=discount)
 
-    def with_initial(self, initial: object) -> Self:
+    def with_initial(self, initial: InitialLike) -> Self:
         """Return the same MDP with another distribution of the first state.
 
         Parameters
@@ -386,7 +397,7 @@ class FiniteMDP:
             sampling=self.sampling and self.sampling._replace(starts=np.inf),
         )
 
-    def with_layout(self, layout: ArrayLike | None) -> Self:
+    def with_layout(self, layout: RealArrayLike | None) -> Self:
         """Return the same MDP with other coordinates of its states.
 
         Parameters
@@ -403,7 +414,9 @@ class FiniteMDP:
         return self._replace(layout=layout)
 
     def with_names(
-        self, state_names: object = None, action_names: object = None
+        self,
+        state_names: NamesLike | None = None,
+        action_names: NamesLike | None = None,
     ) -> Self:
         """Return the same MDP with other names of its states and actions.
 
@@ -451,7 +464,7 @@ class FiniteMDP:
         """
         return self._replace(**add_action_noise(self, epsilon))
 
-    def with_support_of(self, log: object, epsilon: float) -> Self:
+    def with_support_of(self, log: Transitions | SparseLike, epsilon: float) -> Self:
         """Return the same MDP with a log's impossible transitions made possible.
 
         Parameters
@@ -541,7 +554,7 @@ class FiniteMDP:
             return cls(**constructor_arguments(stored))
 
     @classmethod
-    def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
+    def from_gymnasium(cls, env: Env[Any, Any], discount: float = 0.99) -> Self:
         """Read the MDP of a Gymnasium environment that has a table of its transitions.
 
         Such are the toy-text environments with ``env.unwrapped.P`` (FrozenLake,
@@ -586,16 +599,16 @@ class FiniteMDP:
     @classmethod
     def from_log(
         cls,
-        log: object,
-        rewards: object = None,
+        log: Transitions,
+        rewards: RealArrayLike | SparseLike | None = None,
         *,
         discount: float = 0.99,
-        initial: object = None,
+        initial: InitialLike | None = None,
         n_states: int | None = None,
         n_actions: int | None = None,
-        state_names: object = None,
-        action_names: object = None,
-        layout: object = None,
+        state_names: NamesLike | None = None,
+        action_names: NamesLike | None = None,
+        layout: RealArrayLike | None = None,
     ) -> Self:
         """Estimate the MDP of a log's frequencies: a simulator from its own log.
 
@@ -669,10 +682,10 @@ class FiniteMDP:
     @classmethod
     def from_env(
         cls,
-        env: Any,
+        env: Env[Any, Any],
         *,
         samples_per_pair: int,
-        seed: Any = None,
+        seed: Seed = None,
         discount: float = 0.99,
         max_steps: int = 1_000_000,
     ) -> Self:
@@ -741,13 +754,13 @@ class FiniteMDP:
             "action_names",
             "sampling",
         )
-        return {
+        table = self.rewards if self._reward_table is None else self._reward_table
+        arguments = {
             "transitions": self.csr,
-            "rewards": (
-                self.rewards if self._reward_table is None else self._reward_table
-            ),
+            "rewards": table,
             "layout": self._own_layout,
-        } | {name: getattr(self, name) for name in same}
+        }
+        return arguments | {name: getattr(self, name) for name in same}
 
     def _replace(self, **changes: object) -> Self:
         """Return the same MDP with other arguments of the constructor."""

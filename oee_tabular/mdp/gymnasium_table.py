@@ -7,18 +7,19 @@ imported: the environment that is handed over brings what is needed.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.arrays import csr_from_entries
+from oee_tabular.mdp.arrays import csr_from_entries, grid_coordinates
 from oee_tabular.mdp.naming import Name, check_names, coordinates
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
-# wrappers of Gymnasium that change neither actions nor observations nor rewards (a time
-# limit is a horizon)
+# Wrappers of Gymnasium that change neither actions nor observations nor rewards. A time
+# limit is no part of the model: it is the horizon of an evaluation.
 _HARMLESS = frozenset(
     (
         "HumanRendering",
@@ -72,13 +73,7 @@ def read_table(env: Any) -> dict[str, Any]:
         )
     n_states = len(table)
     n_actions = len(table[0])
-    rows = [
-        (s, a, next_state, probability, reward, terminated)
-        for s in range(n_states)
-        for a in range(n_actions)
-        for probability, next_state, reward, terminated in table[s][a]
-        if probability > 0
-    ]
+    rows = list(_list_outcomes(table, n_states, n_actions))
     columns = np.array(rows, dtype=np.float64).T
     outcomes = Outcomes._make(
         [*columns[:3].astype(np.int64), *columns[3:5], columns[5] > 0]
@@ -110,55 +105,100 @@ def build_arguments(
     for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
     their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
+    state, _, _, weight, reward, _ = outcomes
+    terminal_state, terminal, twins = _terminal_states(outcomes, initial)
     n_own = len(initial)
-    state, action, to, weight, reward, terminated = outcomes
-    is_ended = np.bincount(to[terminated], minlength=n_own) > 0
-    is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
-    twins = np.flatnonzero(is_ended & is_entered)
-    terminal_state = np.arange(n_own, dtype=np.int64)
-    terminal_state[twins] = n_own + np.arange(len(twins))
-    terminal = terminal_state[is_ended]
-    kept = ~np.isin(state, terminal)
-    stay = np.zeros(len(terminal) * n_actions)
-    rows = (
-        (state * n_actions + action)[kept],
-        (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1),
-    )
-    columns = (
-        np.where(terminated, terminal_state[to], to)[kept],
-        np.repeat(terminal, n_actions),
-    )
-    places = (np.concatenate(rows), np.concatenate(columns))
     n_states = n_own + len(twins)
     shape = n_states * n_actions, n_states
-    transitions = csr_from_entries(
-        *places, np.concatenate([weight[kept], stay + 1.0]), shape
-    )
+    # outcomes of what became terminal are replaced by staying there
+    is_kept = ~np.isin(state, terminal)
+    rows, columns = _places(outcomes, is_kept, terminal_state, terminal, n_actions)
+    stay = np.zeros(len(terminal) * n_actions)
+    weights = np.concatenate([weight[is_kept], stay + 1.0])
+    transitions = csr_from_entries(rows, columns, weights, shape)
+    table: Csr | Array
     if rewards is None:
-        flow = csr_from_entries(
-            *places, np.concatenate([(weight * reward)[kept], stay]), shape
-        )
-        table: Any = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
+        weighted = np.concatenate([(weight * reward)[is_kept], stay])
+        flow = csr_from_entries(rows, columns, weighted, shape)
+        table = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
     else:
         table = np.zeros((n_states, n_actions))
         table[:n_own] = rewards
         table[terminal] = 0.0
     layout = coordinates(state_names) if layout is None else layout
-    if state_names is not None:  # a twin is its state, over
-        again = [state_names[s] for s in twins]
-        state_names += tuple(
-            (*name, "over") if isinstance(name, tuple) else f"{name} (over)"
-            for name in again
-        )
     return {
         "transitions": transitions,
         "rewards": table,
         "initial": np.concatenate([initial, np.zeros(len(twins))]),
         "terminal_state": terminal_state,
         "layout": None if layout is None else np.concatenate([layout, layout[twins]]),
-        "state_names": state_names,
+        "state_names": _add_twin_names(state_names, twins),
         "action_names": action_names,
     }
+
+
+def _terminal_states(
+    outcomes: Outcomes, initial: Array
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return ``terminal_state``, the terminal states, and the states that have a twin.
+
+    A state has a twin where it is entered both by termination and alive.
+    """
+    n_own = len(initial)
+    to = outcomes.next_state
+    terminated = outcomes.terminated
+    is_ended = np.bincount(to[terminated], minlength=n_own) > 0
+    is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
+    twins = np.flatnonzero(is_ended & is_entered)
+    terminal_state = np.arange(n_own, dtype=np.int64)
+    terminal_state[twins] = n_own + np.arange(len(twins))
+    return terminal_state, terminal_state[is_ended], twins
+
+
+def _places(
+    outcomes: Outcomes,
+    is_kept: BoolArray,
+    terminal_state: IntArray,
+    terminal: IntArray,
+    n_actions: int,
+) -> tuple[IntArray, IntArray]:
+    """Return the rows s*A + a and columns s' of the kept outcomes, then of staying.
+
+    Each action of a terminal state stays there.
+    """
+    to = outcomes.next_state
+    entered = np.where(outcomes.terminated, terminal_state[to], to)
+    own_rows = (outcomes.state * n_actions + outcomes.action)[is_kept]
+    stay_rows = (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
+    stay_columns = np.repeat(terminal, n_actions)
+    rows = np.concatenate([own_rows, stay_rows])
+    columns = np.concatenate([entered[is_kept], stay_columns])
+    return rows, columns
+
+
+def _add_twin_names(
+    names: tuple[Name, ...] | None, twins: IntArray
+) -> tuple[Name, ...] | None:
+    """Return the names of states with those of their twins, which are over."""
+    if names is None:
+        return None
+    added: list[Name] = []
+    for state in twins:
+        name = names[state]
+        is_tuple = isinstance(name, tuple)
+        added.append((*name, "over") if is_tuple else f"{name} (over)")
+    return (*names, *added)
+
+
+def _list_outcomes(
+    table: Any, n_states: int, n_actions: int
+) -> Iterator[tuple[int, int, int, float, float, bool]]:
+    """Yield the outcomes of positive probability, in the order of ``Outcomes``."""
+    for s in range(n_states):
+        for a in range(n_actions):
+            for probability, next_state, reward, terminated in table[s][a]:
+                if probability > 0:
+                    yield s, a, next_state, probability, reward, terminated
 
 
 def _refuse_changing_wrappers(env: object) -> None:
@@ -191,9 +231,7 @@ def _map_layout(base: object, n_states: int) -> Array | None:
             and all(isinstance(n, int) for n in shape)
         )
         if is_map and shape[0] * shape[1] == n_states:
-            return np.stack(np.divmod(np.arange(n_states), shape[1]), axis=1).astype(
-                np.float64
-            )
+            return grid_coordinates(n_states, shape[1])
     return None
 
 
@@ -220,8 +258,6 @@ def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
         for k, v in constants
         if k.isupper() and isinstance(v, int) and 0 <= v < n_actions
     )
-    return (
-        tuple(k for _, k in numbered)
-        if [v for v, _ in numbered] == list(range(n_actions))
-        else None
-    )
+    if [number for number, _ in numbered] != list(range(n_actions)):
+        return None
+    return tuple(name for _, name in numbered)

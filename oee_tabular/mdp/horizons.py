@@ -12,11 +12,11 @@ from oee_tabular.mdp.policies import count_dimensions
 from oee_tabular.typing import PolicyLike
 
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
-# of a reward; far below rounding, so that late and unlikely rewards are not lost either
+# The share of a reward that counts as nothing. It is far below rounding, so that late
+# and unlikely rewards are not lost either.
 LEAST_WEIGHT = 2.0**-200
-# multiply-adds: some seconds, and a minute or more
-SLOW = 2e9
-ABSURD = 2e10
+SLOW_MULTIPLY_ADDS = 2e9  # some seconds
+MAX_MULTIPLY_ADDS = 2e10  # a minute or more
 
 
 def limit_horizon(
@@ -41,7 +41,7 @@ def limit_horizon(
         fading = math.ceil(math.log(LEAST_WEIGHT) / math.log(rate))
     length = int(min(horizon, max(SHORT_HORIZON, ahead + fading)))
     cost = length * work
-    if horizon > 10**6 and cost > ABSURD:
+    if horizon > 10**6 and cost > MAX_MULTIPLY_ADDS:
         raise ArgumentError(
             "horizon",
             f"must be one that can be carried out; {horizon} steps take some {cost:.0e}"
@@ -57,7 +57,7 @@ def limit_horizon(
         _checks.warn(
             f"horizon {horizon} is followed to step {length}: {rule}", CostWarning
         )
-    elif cost > SLOW:
+    elif cost > SLOW_MULTIPLY_ADDS:
         _checks.warn(
             f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g}"
             " seconds)",
@@ -79,9 +79,9 @@ def horizon_length(
         return length
     # rows of zeta * P may sum to more than 1
     growth = float(row_sums(model.transitions).max())
-    rate = model.discount * (
-        growth if growth > 1.0 + 2.0 * _checks.SUM_TOLERANCE else 1.0
-    )
+    if growth <= 1.0 + 2.0 * _checks.SUM_TOLERANCE:
+        growth = 1.0
+    rate = model.discount * growth
     return limit_horizon(
         length, rate, ahead=model.n_states, work=model.transitions.nnz, kept=kept
     )
@@ -91,17 +91,15 @@ def optional_horizon_length(
     horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0
 ) -> int | None:
     """Return ``horizon_length``, or None for the infinite sum."""
-    return (
-        None if horizon is None else horizon_length(horizon, model, policy, kept=kept)
-    )
+    if horizon is None:
+        return None
+    return horizon_length(horizon, model, policy, kept=kept)
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
     """Return sum_t discount^t over the horizon."""
     if horizon is None:
         return 1.0 / (1.0 - discount)
-    return (
-        float(horizon)
-        if discount == 1.0
-        else (1.0 - discount**horizon) / (1.0 - discount)
-    )
+    if discount == 1.0:
+        return float(horizon)
+    return (1.0 - discount**horizon) / (1.0 - discount)

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, IntArray, SupportsArray
 
 Name: TypeAlias = str | tuple[Any, ...]
+
+# names of all states or actions, in their order; a text is no sequence of names
+NamesLike: TypeAlias = list[Any] | tuple[Any, ...] | SupportsArray
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Names:
 
 
 NAMELESS = Names()
-DEEPEST_NAME = 20  # tuples in tuples
+MAX_NAME_DEPTH = 20  # of tuples in tuples; JSON of a name cannot exhaust the stack
 
 
 def names_of(mdp: object) -> Names:
@@ -81,25 +84,8 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     first: dict[str, int] = {}
     for k, item in enumerate(names):
         place = f"{name}[{k}]"
-        if not is_name(item):
-            raise ArgumentError(
-                place,
-                "must be a text, or a tuple of texts and numbers; it is"
-                f" {_checks.show(item)}",
-            )
+        _require_name(item, place)
         text = str(item)
-        if text.strip() != text or not text:
-            raise ArgumentError(
-                place,
-                "must not be empty, nor begin or end with a blank; it is"
-                f" {_checks.show(text)}",
-            )
-        if is_number_text(text):
-            raise ArgumentError(
-                place,
-                "must not read as a number, which a file does not tell from the number"
-                f" of a state or an action; it is {text!r} (write {'s' + text!r})",
-            )
         if text in first:
             raise ArgumentError(
                 name,
@@ -110,16 +96,39 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     return names
 
 
+def _require_name(item: object, place: str) -> None:
+    """Raise an ArgumentError where an item is no name; errors call it ``place``."""
+    if not is_name(item):
+        raise ArgumentError(
+            place,
+            "must be a text, or a tuple of texts and numbers; it is"
+            f" {_checks.show(item)}",
+        )
+    text = str(item)
+    if text.strip() != text or not text:
+        raise ArgumentError(
+            place,
+            "must not be empty, nor begin or end with a blank; it is"
+            f" {_checks.show(text)}",
+        )
+    if is_number_text(text):
+        raise ArgumentError(
+            place,
+            "must not read as a number, which a file does not tell from the number"
+            f" of a state or an action; it is {text!r} (write {'s' + text!r})",
+        )
+
+
 def to_plain(item: object, depth: int = 0) -> Any:
     """Return a name without numpy's types, lists and arrays in it as tuples.
 
     What is nested too deep stays as it is.
     """
-    if isinstance(item, np.generic) or (
-        isinstance(item, np.ndarray) and item.ndim == 0
-    ):
+    if isinstance(item, np.generic):
         return item.item()
-    if isinstance(item, tuple | list | np.ndarray) and depth < DEEPEST_NAME:
+    if isinstance(item, np.ndarray) and item.ndim == 0:
+        return item.item()
+    if isinstance(item, tuple | list | np.ndarray) and depth < MAX_NAME_DEPTH:
         return tuple(to_plain(part, depth + 1) for part in item)
     return item
 
@@ -128,10 +137,14 @@ def is_name(item: object) -> bool:
     """Say whether ``item`` is a text, or a tuple of texts, numbers and tuples."""
     if not isinstance(item, tuple):
         return isinstance(item, str)
-    return bool(item) and all(
-        isinstance(x, int) or (isinstance(x, float) and math.isfinite(x)) or is_name(x)
-        for x in item
-    )
+    return bool(item) and all(map(_is_part_of_name, item))
+
+
+def _is_part_of_name(part: object) -> bool:
+    """Say whether ``part`` is a finite number or itself a name."""
+    if isinstance(part, float):
+        return math.isfinite(part)
+    return isinstance(part, int) or is_name(part)
 
 
 def is_number_text(text: str) -> bool:
@@ -148,10 +161,7 @@ def coordinates(names: tuple[Name, ...] | None) -> Array | None:
 
     O(S c).
     """
-    if not names or any(
-        isinstance(name, str) or any(not isinstance(x, int | float) for x in name)
-        for name in names
-    ):
+    if not names or not all(map(_is_tuple_of_numbers, names)):
         return None
     try:
         return _checks.freeze(np.array(names, dtype=np.float64))
@@ -160,7 +170,13 @@ def coordinates(names: tuple[Name, ...] | None) -> Array | None:
         return None
 
 
+def _is_tuple_of_numbers(name: Name) -> bool:
+    """Say whether a name is a tuple of numbers alone."""
+    return isinstance(name, tuple) and all(isinstance(x, int | float) for x in name)
+
+
 # by identity: O(1), where a hash costs O(S)
+MAX_LOOKUPS = 16  # tuples of names whose numbers are kept
 _LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}
 
 
@@ -175,12 +191,9 @@ def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
         texts: dict[Hashable, int] = {
             str(item): k for item, k in named.items() if isinstance(item, tuple)
         }
-        numbers = (
-            {str(text).replace(", ", ","): k for text, k in texts.items()}
-            | texts
-            | named
-        )
-        if len(_LOOKUPS) >= 16:
+        dense = {str(text).replace(", ", ","): k for text, k in texts.items()}
+        numbers = dense | texts | named
+        if len(_LOOKUPS) >= MAX_LOOKUPS:
             _LOOKUPS.clear()
         _LOOKUPS[id(names)] = names, numbers
     return numbers
@@ -197,9 +210,11 @@ def number_of(
 
     Raises an ArgumentError with the nearest name where there is none.
 
-    >>> number_of("lefft", ("left", "right"), 2, "action")
-    Traceback (most recent call last):
-    ValueError: action must be one of the MDP's names; it is 'lefft' (did you mean 'left'?)
+    >>> try:
+    ...     number_of("lefft", ("left", "right"), 2, "action")
+    ... except ArgumentError as error:
+    ...     print(error)
+    action must be one of the MDP's names; it is 'lefft' (did you mean 'left'?)
     """
     given = to_plain(item)
     if _checks.is_integer(given):
@@ -236,7 +251,10 @@ def suggest_name(item: Name, names: tuple[Name, ...]) -> str:
     close = difflib.get_close_matches(str(item)[:80], list(texts), n=1)
     if close:
         return f" (did you mean {texts[close[0]]!r}?)"
-    return f" (they are {', '.join(map(repr, names[:5]))}{', ...' * (len(names) > 5)})"
+    shown = ", ".join(map(repr, names[:5]))
+    if len(names) > 5:
+        shown += ", ..."
+    return f" (they are {shown})"
 
 
 def renumber(
@@ -254,23 +272,22 @@ def renumber(
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
     bad = np.flatnonzero(numbers < 0)
     if bad.size:
+        place = f"{name}[{bad[0]}]"
         try:
-            number_of(
-                own[int(codes[bad[0]])],
-                names,
-                size,
-                f"{name}[{bad[0]}]",
-                "the simulator's",
-            )
-        except ValueError as error:
-            missing = len(np.unique(codes[bad]))
-            more = (
-                f"; {bad.size} such rows, of {missing} name{'s' * (missing > 1)}"
-                if bad.size > 1
-                else ""
-            )
-            raise ValueError(f"{error}{more}") from None
+            number_of(own[int(codes[bad[0]])], names, size, place, "the simulator's")
+        except ArgumentError as error:
+            more = _count_unknown(codes[bad])
+            raise ArgumentError(error.argument, f"{error.rule}{more}") from None
     return numbers
+
+
+def _count_unknown(codes: IntArray) -> str:
+    """Return the numbers of rows and of names that are unknown, in words, above one."""
+    if len(codes) == 1:
+        return ""
+    missing = len(np.unique(codes))
+    plural = "s" if missing > 1 else ""
+    return f"; {len(codes)} such rows, of {missing} name{plural}"
 
 
 def to_text(names: Any) -> NDArray[Any]:
@@ -304,22 +321,17 @@ def initial_distribution(
     given = to_plain(initial) if is_scalar or is_tuple else initial
     if is_tuple:  # as many numbers as states are a distribution, unless they are a name
         is_numbers = all(isinstance(part, int | float) for part in given)
-        is_tuple = (
-            len(given) != n_states or not is_numbers or given in numbers_of(names or ())
-        )
+        is_distribution = len(given) == n_states and is_numbers
+        is_tuple = not is_distribution or given in numbers_of(names or ())
     weights: Mapping[Any, Any] = initial if isinstance(initial, Mapping) else {}
     if is_tuple or isinstance(given, str) or _checks.is_integer(given):
         weights = {given: 1.0}
     elif weights is not initial:
         return initial
     distribution = np.zeros(n_states)
+    called = "initial's state" if weights is initial else "initial"
     for state, weight in weights.items():
-        number = number_of(
-            state,
-            names,
-            n_states,
-            "initial's state" if weights is initial else "initial",
-        )
+        number = number_of(state, names, n_states, called)
         distribution[number] += _checks.number_in(
             weight, f"initial[{state!r}]", 0.0, 1.0
         )

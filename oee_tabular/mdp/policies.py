@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,11 +22,37 @@ from oee_tabular.mdp.naming import (
     numbers_of,
     to_plain,
 )
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    IntArray,
+    PolicyLike,
+    SupportsArray,
+)
+
+
+class Sized(Protocol):
+    """Describe a model with states and actions, such as a ``FiniteMDP``."""
+
+    @property
+    def n_states(self) -> int:
+        """The number of states."""
+
+    @property
+    def n_actions(self) -> int:
+        """The number of actions."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """The state to which a transition leads that terminates on entering a state."""
 
 
 def check_policy(
-    policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None
+    policy: PolicyLike,
+    mdp: Sized,
+    *,
+    name: str = "policy",
+    horizon: int | None = None,
 ) -> Array:
     """Check a policy in any of its forms and return it as a new array.
 
@@ -74,9 +100,11 @@ def check_policy(
     [0.0, 0.0, 0.0, 1.0]
     >>> check_policy(lambda state: [0.5, 0.5, 0, 0], mdp)[0].tolist()
     [0.5, 0.5, 0.0, 0.0]
-    >>> check_policy([[0.5, 0.4, 0, 0]] * 4, mdp)
-    Traceback (most recent call last):
-    ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
+    >>> try:
+    ...     check_policy([[0.5, 0.4, 0, 0]] * 4, mdp)
+    ... except ValueError as error:
+    ...     print(error)
+    policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
     require_sized(mdp)
     _checks.instance(name, str, "name")
@@ -85,35 +113,44 @@ def check_policy(
     n_actions = mdp.n_actions
     n_own = len(mdp.terminal_state)
     shapes = (n_states, n_actions), (horizon, n_states, n_actions)
-    if (
-        isinstance(policy, np.ndarray)
-        and policy.dtype == np.float64
-        and policy.shape in shapes
-    ):
-        array = np.array(policy, order="C")
+    # most calls pass such an array, of which one compiled look suffices
+    given: Any = policy
+    is_float_array = isinstance(given, np.ndarray) and given.dtype == np.float64
+    if is_float_array and given.shape in shapes:
+        array = np.array(given, order="C")
         if _are_distributions(array):
             return array
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
-        policy = policy_table(policy, mdp, name)
-    array = _checks.float_array(policy, name)
-    if array.shape != (n_states, n_actions):
-        allowed: list[tuple[int, ...]] = [
-            (n, n_actions) for n in dict.fromkeys((n_states, n_own))
-        ]
-        allowed += [] if horizon is None else [(horizon, *shape) for shape in allowed]
-        if array.shape not in allowed:
-            rule = " or ".join(str(shape) for shape in allowed)
-            raise ArgumentError(
-                name,
-                f"must have shape {rule} (states, actions); it has shape {array.shape}",
-            )
-    array = _check_distributions(array, policy, name)
+        given = policy_table(policy, mdp, name)
+    array = _checks.float_array(given, name)
+    _require_policy_shape(array, (n_states, n_own), n_actions, horizon, name)
+    array = _check_distributions(array, given, name)
     if array.shape[-2] < n_states:
         twins = np.full(
             (*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions
         )
         array = np.concatenate([array, twins], axis=-2)
     return array
+
+
+def _require_policy_shape(
+    array: Array, sizes: tuple[int, int], n_actions: int, horizon: int | None, name: str
+) -> None:
+    """Raise an ArgumentError where an array has not the shape of a policy.
+
+    ``sizes``: the numbers of states that it may have.
+    """
+    if array.shape == (sizes[0], n_actions):
+        return
+    allowed: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys(sizes)]
+    if horizon is not None:
+        allowed += [(horizon, *shape) for shape in allowed]
+    if array.shape not in allowed:
+        rule = " or ".join(str(shape) for shape in allowed)
+        raise ArgumentError(
+            name,
+            f"must have shape {rule} (states, actions); it has shape {array.shape}",
+        )
 
 
 def _are_distributions(array: Array) -> bool:
@@ -136,7 +173,7 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
 
 
 def check_policies(
-    policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy"
+    policies: Any, mdp: Sized, *, name: str = "policies", alone: str = "policy"
 ) -> dict[str, Array]:
     """Return a mapping from names to (S, A) policies.
 
@@ -152,43 +189,47 @@ def check_policies(
     }
 
 
-def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
+def split_policies(policies: Any, mdp: Sized) -> dict[str, Any] | None:
     """Return the names and policies of several policies; None for one policy."""
     # a dok_array is a mapping
     if isinstance(policies, Mapping) and not _checks.is_sparse(policies):
-        known = numbers_of(names_of(mdp).states or ())
-        are_states = all(
-            to_plain(key) in known or _checks.is_integer(key) for key in policies
-        )
-        are_choices = not any(
-            callable(value) or count_dimensions(value) >= 2
-            for value in policies.values()
-        )
-        is_one = bool(policies) and are_states and are_choices
-        return (
-            None if is_one else {str(key): policy for key, policy in policies.items()}
-        )
-    if not isinstance(policies, list | tuple):
-        return None
+        if _is_policy_by_state(policies, mdp):
+            return None
+        return {str(key): policy for key, policy in policies.items()}
+    if isinstance(policies, list | tuple) and _is_list_of_policies(policies, mdp):
+        return {f"policy {k}": policy for k, policy in enumerate(policies)}
+    return None
+
+
+def _is_policy_by_state(policies: Mapping[Any, Any], mdp: Sized) -> bool:
+    """Say whether a mapping is one policy, from states to choices."""
+    known = numbers_of(names_of(mdp).states or ())
+    are_states = all(
+        to_plain(key) in known or _checks.is_integer(key) for key in policies
+    )
+    has_tables = any(
+        callable(value) or count_dimensions(value) >= 2 for value in policies.values()
+    )
+    return bool(policies) and are_states and not has_tables
+
+
+def _is_list_of_policies(policies: Any, mdp: Sized) -> bool:
+    """Say whether a list or tuple holds policies rather than the rows of one."""
+    if not policies:
+        return True
+    first = policies[0]
+    n_dimensions = count_dimensions(first)
+    if callable(first) or isinstance(first, Mapping) or n_dimensions >= 2:
+        return True
+    if n_dimensions != 1:
+        return False
+    # it is an action for each state, or the first row of a table (S, A)
     sizes = (mdp.n_states, len(mdp.terminal_state))
-    first = policies[0] if policies else ()
-    is_row = (
-        count_dimensions(first) == 1
-        and len(policies) in sizes
-        and len(first) == mdp.n_actions
-    )  # of a table (S, A)
-    is_policy = (
-        callable(first) or isinstance(first, Mapping) or count_dimensions(first) >= 2
-    )
-    is_policy |= count_dimensions(first) == 1 and len(first) in sizes and not is_row
-    return (
-        {f"policy {k}": policy for k, policy in enumerate(policies)}
-        if is_policy or not policies
-        else None
-    )
+    is_row = len(policies) in sizes and len(first) == mdp.n_actions
+    return len(first) in sizes and not is_row
 
 
-def uniform_policy(mdp: Any) -> Array:
+def uniform_policy(mdp: Sized) -> Array:
     """Return the policy that takes each action with probability 1/A.
 
     Parameters
@@ -219,7 +260,11 @@ def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") ->
     return policy
 
 
-def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
+def mix(
+    policy_a: SupportsArray | list[Any] | tuple[Any, ...],
+    policy_b: SupportsArray | list[Any] | tuple[Any, ...],
+    weight_of_a: float,
+) -> Array:
     """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b.
 
     The mixture is taken action by action in each state.
@@ -254,25 +299,26 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     [[0.8, 0.2]]
     """
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
-    arrays = []
-    for policy, name, other in (
-        (policy_a, "policy_a", policy_b),
-        (policy_b, "policy_b", policy_a),
-    ):
-        given = _checks.as_array(policy, name)
-        if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
-            given = deterministic_policy(given, np.shape(other)[1], name)
-        arrays.append(
-            _check_distributions(
-                _checks.float_array(given, name, ndim=(2, 3)), given, name
-            )
+    array_a = _check_mixed(policy_a, policy_b, "policy_a")
+    array_b = _check_mixed(policy_b, policy_a, "policy_b")
+    if array_a.shape != array_b.shape:
+        raise ArgumentError(
+            "policy_a and policy_b",
+            f"must have one shape; they have {array_a.shape} and {array_b.shape}",
         )
-    if arrays[0].shape != arrays[1].shape:
-        raise ValueError(
-            f"policy_a and policy_b must have one shape; they have {arrays[0].shape}"
-            f" and {arrays[1].shape}"
-        )
-    return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
+    return np.asarray(weight * array_a + (1.0 - weight) * array_b)
+
+
+def _check_mixed(policy: Any, other: Any, name: str) -> Array:
+    """Check a policy of a mixture and return it as an array of probabilities.
+
+    It may be (S,) actions where the ``other`` is (S, A).
+    """
+    given = _checks.as_array(policy, name)
+    if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
+        given = deterministic_policy(given, np.shape(other)[1], name)
+    array = _checks.float_array(given, name, ndim=(2, 3))
+    return _check_distributions(array, given, name)
 
 
 def read_policy_array(path: str, name: str) -> Array:
@@ -294,16 +340,13 @@ def read_policy_array(path: str, name: str) -> Array:
 
 def require_sized(mdp: object) -> None:
     """Raise an ArgumentError for what has no states and actions."""
-    is_sized = (
-        hasattr(mdp, "n_states")
-        and hasattr(mdp, "n_actions")
-        and hasattr(mdp, "terminal_state")
-    )
+    sizes = ("n_states", "n_actions", "terminal_state")
+    is_sized = all(hasattr(mdp, size) for size in sizes)
     if isinstance(mdp, type) or not is_sized:
         raise ArgumentError("mdp", f"must be a FiniteMDP; got {type(mdp).__name__}")
 
 
-def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
+def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """Return actions, a mapping or a function as (S0, A) or (S, A).
 
     Anything else, arrays of probabilities among it, is returned as it is.
@@ -320,9 +363,8 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
             f"must be an action, or a distribution, for each of the {mdp.n_states}"
             f" states; it is {_checks.show(policy)} ({hint})",
         )
-    if isinstance(policy, Mapping) or (
-        callable(policy) and not hasattr(policy, "__array__")
-    ):
+    is_function = callable(policy) and not hasattr(policy, "__array__")
+    if isinstance(policy, Mapping) or is_function:
         return _choice_table(policy, mdp, name)
     if hasattr(policy, "to_dict"):
         raise ArgumentError(
@@ -334,25 +376,25 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     return _action_table(policy, mdp, name)
 
 
-def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
+def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
     """Return the (S, A) of a mapping or a function of the environment's own states.
 
     Terminal states may be left out.
     """
     names = names_of(mdp)
     n_own = len(mdp.terminal_state)
-    is_free = (
-        mdp.absorbing()
-        if hasattr(mdp, "absorbing")
-        else np.zeros(mdp.n_states, dtype=np.bool_)
-    )
+    # states whose actions need not be given
+    is_free: BoolArray = np.zeros(mdp.n_states, dtype=np.bool_)
+    if hasattr(mdp, "absorbing"):
+        is_free = mdp.absorbing()
     table = np.full((mdp.n_states, mdp.n_actions), np.nan)
     states = (names.states or range(mdp.n_states))[:n_own]
     for state, choice, place in _list_choices(policy, states, name):
         s = number_of(state, names.states, mdp.n_states, f"{name}'s state")
         if not np.isnan(table[s, 0]):
-            raise ValueError(
-                f"{name}'s states must differ; state {names.state(s)} is given twice"
+            raise ArgumentError(
+                f"{name}'s states",
+                f"must differ; state {names.state(s)} is given twice",
             )
         if choice is not None or not is_free[s]:
             table[s] = _choice_row(choice, names.actions, mdp.n_actions, place)
@@ -375,22 +417,19 @@ def _list_choices(
     The states are those of a mapping, or ``states``.
     """
     if isinstance(policy, Mapping):
-        yield from (
-            (state, choice, f"{name}[{_checks.show(state)}]")
-            for state, choice in policy.items()
-        )
+        for state, choice in policy.items():
+            yield state, choice, f"{name}[{_checks.show(state)}]"
         return
     for state in states:
         place = f"{name}({_checks.show(state)})"
         try:
             choice = policy(state)
         except Exception as error:
-            reason = (
-                f"it raises {type(error).__name__}:"
-                f" {_checks.escape_controls(str(error)):.300}"
-            )
+            reason = _checks.escape_controls(str(error))
             raise ArgumentError(
-                place, f"must be an action or a distribution; {reason}"
+                place,
+                "must be an action or a distribution; it raises"
+                f" {type(error).__name__}: {reason:.300}",
             ) from error
         yield state, choice, place
 
@@ -401,15 +440,14 @@ def _choice_row(
     """Return an action, a mapping from actions to probabilities, or a row, as (A,)."""
     row = np.zeros(n_actions)
     given = to_plain(choice)
+    is_named = isinstance(choice, str | tuple) and _is_action(given, names)
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
             a = number_of(action, names, n_actions, f"{name}'s action")
             row[a] += _checks.number_in(
                 probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0
             )
-    elif _checks.is_integer(given) or (
-        isinstance(choice, str | tuple) and _is_action(given, names)
-    ):
+    elif is_named or _checks.is_integer(given):
         row[number_of(given, names, n_actions, name)] = 1.0
     elif count_dimensions(choice) == 1 and len(choice) == n_actions:
         row = _checks.float_array(choice, name, ndim=1)
@@ -419,7 +457,7 @@ def _choice_row(
     return _check_distributions(row, choice, name)
 
 
-def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
+def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """Return the (S, A) of an action for each state, by number or name.
 
     Anything else is returned as it is.
@@ -430,24 +468,20 @@ def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
         array = np.asarray(policy)
     except (TypeError, ValueError):  # names of several lengths
         array = np.zeros((0, 0))
-    are_numbers = array.ndim == 1 and array.dtype.kind in "iu"
-    are_rows = (
-        array.ndim == 2 and array.dtype.kind in "biuf" and array.shape[1] == n_actions
-    )
+    is_numeric = array.ndim == 2 and array.dtype.kind in "biuf"
+    if array.ndim == 0 or (is_numeric and array.shape[1] == n_actions):
+        return policy
     actions: Any = policy
-    if (
-        array.ndim == 0
-        or are_rows
-        or not (are_numbers or all(_is_action(a, names) for a in actions))
-    ):
+    are_numbers = array.ndim == 1 and array.dtype.kind in "iu"
+    if not are_numbers and not all(_is_action(action, names) for action in actions):
         return policy
     if len(actions) not in (mdp.n_states, len(mdp.terminal_state)):
         return policy
     if not are_numbers:
         array = np.array(
             [
-                number_of(a, names, n_actions, f"{name}[{s}]")
-                for s, a in enumerate(actions)
+                number_of(action, names, n_actions, f"{name}[{s}]")
+                for s, action in enumerate(actions)
             ]
         )
     return deterministic_policy(array, n_actions, name)
@@ -455,11 +489,9 @@ def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
 
 def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
     """Say whether it is a text, or a tuple that is an action's name."""
-    return isinstance(action, str) or (
-        isinstance(action, tuple)
-        and is_name(action)
-        and action in numbers_of(names or ())
-    )
+    if isinstance(action, tuple):
+        return is_name(action) and action in numbers_of(names or ())
+    return isinstance(action, str)
 
 
 def count_dimensions(value: Any) -> int:

@@ -9,21 +9,22 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
 
-# entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
+# Entries of a block: 16 000 000 of them by blocks take .6 of the time that they take at
+# once, and no memory to speak of.
 BLOCK = 2**18
-# numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6
-# 400 000 it takes 20 times
+# The largest size of (entries, d) values whose sums reduceat computes more quickly than
+# a sparse product. At a size of 6 400 000 it takes 20 times as long.
 SMALL = 5_000
-DIGITS = 9  # displacements that differ by less than 1e-9 are one
+DIGITS = 9  # decimals: displacements that differ by less than 1e-9 are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +71,8 @@ class Rows:
         """Return all rows of a simulator."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
-        weights = csr.data / np.repeat(
-            np.add.reduceat(csr.data, indptr[:-1]), np.diff(indptr)
-        )
+        sums = np.add.reduceat(csr.data, indptr[:-1])
+        weights = csr.data / np.repeat(sums, np.diff(indptr))
         sizes = simulator.n_states, simulator.n_actions
         return cls(
             np.arange(csr.shape[0]),
@@ -88,9 +88,9 @@ class Rows:
         at = np.flatnonzero(mask)
         lengths = np.diff(self.indptr)[at]
         indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        inside = np.arange(int(indptr[-1])) + np.repeat(
-            self.indptr[:-1][at] - indptr[:-1], lengths
-        )
+        # each row's entries move by what was left out before them
+        shifts = self.indptr[:-1][at] - indptr[:-1]
+        inside = np.arange(int(indptr[-1])) + np.repeat(shifts, lengths)
         return self._part(at, inside, indptr)
 
     def blocks(self) -> Iterator[Rows]:
@@ -103,15 +103,11 @@ class Rows:
             yield self
             return
         ends = np.arange(1, n_blocks) * BLOCK
-        for first, last in itertools.pairwise(
-            np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])
-        ):
+        borders = np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])
+        for first, last in itertools.pairwise(borders):
             low, high = (int(x) for x in self.indptr[[first, last]])
-            yield self._part(
-                slice(first, last),
-                slice(low, high),
-                self.indptr[first : last + 1] - low,
-            )
+            indptr = self.indptr[first : last + 1] - low
+            yield self._part(slice(first, last), slice(low, high), indptr)
 
     def _part(
         self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray
@@ -120,9 +116,8 @@ class Rows:
         if not isinstance(self.entries, slice):
             entries: IntArray | slice = self.entries[inside]
         elif isinstance(inside, slice):
-            entries = slice(
-                self.entries.start + inside.start, self.entries.start + inside.stop
-            )
+            start = self.entries.start
+            entries = slice(start + inside.start, start + inside.stop)
         else:
             entries = self.entries.start + inside
         parts = (
@@ -174,7 +169,8 @@ class Rows:
         The mean is sum_x model_x values_x, with ``model`` (entries,).
         """
         if values.ndim == 1 or values.size <= SMALL:
-            return self.sums((model if values.ndim == 1 else model[:, None]) * values)
+            weights = model if values.ndim == 1 else model[:, None]
+            return self.sums(weights * values)
         parts = model, np.arange(len(model)), self.indptr
         return np.asarray(
             sparse.csr_array(parts, shape=(len(self), len(model))) @ values
@@ -216,7 +212,7 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
 
 
 def displacements(
-    mdp: FiniteMDP, *, layout: ArrayLike | None = None
+    mdp: FiniteMDP, *, layout: RealArrayLike | None = None
 ) -> tuple[Array, IntArray]:
     """Compute the displacement of each transition, layout[s'] - layout[s].
 
@@ -264,15 +260,14 @@ def displacements(
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)
-    places = (
-        np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given
-    )
+    places = np.arange(mdp.n_states, dtype=np.float64)[:, None]
+    if given is not None:
+        places = given
     state = row_of_entry(mdp.csr) // mdp.n_actions
-    kinds, kind = distinct_rows(
-        round_displacements(places[mdp.csr.indices] - places[state])
-    )
+    differences = round_displacements(places[mdp.csr.indices] - places[state])
+    kinds, kind = distinct_rows(differences)
     mass = np.bincount(kind, weights=mdp.csr.data)
-    # equal but for the order of their sums: equal
+    # masses that differ only by the order of their sums are equal
     order = np.argsort(-np.round(mass / mass.sum(), 12), kind="stable")
     return kinds[order], np.argsort(order)[kind]
 

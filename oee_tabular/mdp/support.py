@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
@@ -17,12 +17,15 @@ from oee_tabular._sparse import (
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, Csr, IntArray
+
+if TYPE_CHECKING:
+    from oee_tabular.mdp.finite_mdp import FiniteMDP
 
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
 
 
-def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
+def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     """Return the arguments of P_eps and r_eps (``FiniteMDP.with_action_noise``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
     n_states, n_actions = mdp.rewards.shape
@@ -33,21 +36,22 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
         (1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise
     )
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
-    rewards: object = (mixing @ mdp.rewards.reshape(-1)).reshape(mdp.rewards.shape)
+    expected = mixing @ mdp.rewards.reshape(-1)
+    rewards: Array | Csr = expected.reshape(mdp.rewards.shape)
     if mdp.reward_data is not None:
-        flow = mixing @ csr_on_pattern(
-            mdp.transitions, mdp.transitions.data * mdp.reward_data, own=True
-        )
+        weighted = mdp.transitions.data * mdp.reward_data
+        flow = mixing @ csr_on_pattern(mdp.transitions, weighted, own=True)
         total, _ = align(canonical(flow, drop_zeros=False), matrix)
         rewards = csr_on_pattern(matrix, total / matrix.data, own=True)
     sampling = mdp.sampling
-    if sampling is not None:  # each pair rests on the least sampled action of its state
+    if sampling is not None:
+        # each pair rests on the least sampled action of its state
         least = sampling.pairs.reshape(-1, n_actions).min(axis=1)
         sampling = sampling._replace(pairs=np.repeat(least, n_actions))
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
 
 
-def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
+def add_support(mdp: FiniteMDP, log: object, epsilon: float) -> dict[str, Any]:
     """Return the arguments that change where an MDP is to allow the log's transitions.
 
     ``FiniteMDP.with_support_of`` explains them.
@@ -70,16 +74,7 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     table = mdp.transition_rewards
     if table is None:
         return {"transitions": new}
-    value = mdp.rewards.reshape(-1)[row]
-    if reward is not None:
-        has_reward = ~np.isnan(reward)  # some may be missing
-        places = rows[has_reward], columns[has_reward]
-        weights = reward[has_reward], np.ones(len(places[0]))
-        total, count = (
-            align(csr_from_entries(*places, weight, matrix.shape), added)[0]
-            for weight in weights
-        )
-        value = np.where(count > 0, total / np.maximum(count, 1.0), value)
+    value = _added_rewards(mdp, added, rows, columns, reward)
     is_undefined = ~align(table, added)[1]
     rewards = csr_from_entries(
         np.concatenate([row_of_entry(table), row[is_undefined]]),
@@ -90,13 +85,32 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     return {"transitions": new, "rewards": rewards}
 
 
-def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
+def _added_rewards(
+    mdp: FiniteMDP, added: Csr, rows: IntArray, columns: IntArray, reward: Array | None
+) -> Array:
+    """Return the reward of each added transition: the log's mean, or r(s, a)."""
+    value = mdp.rewards.reshape(-1)[row_of_entry(added)]
+    if reward is None:
+        return value
+    has_reward = ~np.isnan(reward)  # some may be missing
+    places = rows[has_reward], columns[has_reward]
+    ones = np.ones(len(places[0]))
+    sums = csr_from_entries(*places, reward[has_reward], added.shape)
+    numbers = csr_from_entries(*places, ones, added.shape)
+    total = align(sums, added)[0]
+    count = align(numbers, added)[0]
+    return np.where(count > 0, total / np.maximum(count, 1.0), value)
+
+
+def _read_transitions(
+    mdp: FiniteMDP, log: Any
+) -> tuple[IntArray, IntArray, Array | None]:
     """Return the rows, next states and rewards of a log's transitions, or of counts.
 
     Terminated transitions lead to the terminal state of their next state.
     """
     shape = mdp.csr.shape
-    if sparse.issparse(log):
+    if _checks.is_sparse(log):
         if log.shape != shape:
             raise ArgumentError(
                 "log",
@@ -126,9 +140,9 @@ def require_log(log: object) -> None:
     """
     is_class = isinstance(log, type)
     if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
-        hint = " (of a data frame: Transitions.from_frame(log))" * (
-            hasattr(log, "columns") and not is_class
-        )
+        hint = ""
+        if hasattr(log, "columns") and not is_class:
+            hint = " (of a data frame: Transitions.from_frame(log))"
         raise ArgumentError(
             "log", f"must be Transitions; got {type(log).__name__}{hint}"
         )
