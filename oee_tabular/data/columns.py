@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import freeze
@@ -16,13 +15,21 @@ from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.rules import (
     COLUMNS,
+    ColumnLike,
     check_array,
-    count_others,
     find_order_faults,
     find_repeat,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, Column, IntArray, Seed
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Column,
+    IntArray,
+    IntArrayLike,
+    RealArrayLike,
+    Seed,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -47,16 +54,16 @@ class LogColumns:
 
     def __init__(
         self,
-        state: ArrayLike,
-        action: ArrayLike,
-        next_state: ArrayLike,
-        reward: ArrayLike | None = None,
+        state: ColumnLike,
+        action: ColumnLike,
+        next_state: ColumnLike,
+        reward: RealArrayLike | None = None,
         *,
-        terminated: ArrayLike | None = None,
-        episode: ArrayLike | None = None,
-        timestep: ArrayLike | None = None,
-        behavior_probability: ArrayLike | None = None,
-        truncated: ArrayLike | None = None,
+        terminated: RealArrayLike | None = None,
+        episode: ColumnLike | None = None,
+        timestep: RealArrayLike | None = None,
+        behavior_probability: RealArrayLike | None = None,
+        truncated: RealArrayLike | None = None,
     ) -> None:
         given = {
             "reward": reward,
@@ -67,10 +74,8 @@ class LogColumns:
             "behavior_probability": behavior_probability,
         }
         columns: dict[str, Column | None] = self._moves(state, action, next_state)
-        columns |= {
-            label: None if value is None else check_array(value, label)
-            for label, value in given.items()
-        }
+        for label, value in given.items():
+            columns[label] = None if value is None else check_array(value, label)
         rewards = columns["reward"]
         if rewards is not None and not self.ALLOWS_MISSING_REWARDS:
             _checks.require_finite(rewards, "reward")
@@ -104,29 +109,29 @@ class LogColumns:
         starts = _episode_starts(episode)
         repeat = find_repeat(episode[starts[:-1]], starts[:-1])
         if repeat is not None:
-            raise ValueError(repeat[1])
+            raise ArgumentError("episode", repeat[1])
         is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
         is_first[starts[:-1]] = True
         is_last[starts[1:] - 1] = True
         if columns["timestep"] is None:
-            columns["timestep"] = np.arange(len(episode)) - np.repeat(
-                starts[:-1], np.diff(starts)
-            )
+            first_row = np.repeat(starts[:-1], np.diff(starts))
+            columns["timestep"] = np.arange(len(episode)) - first_row
         given = {name: column for name, column in columns.items() if column is not None}
         before = {
             name: np.concatenate([column[:1], column[:-1]])
             for name, column in given.items()
         }
-        for fault in find_order_faults(
+        faults = find_order_faults(
             given, before, is_first, ~is_first, self._differs, self._show
-        ):
-            raise ValueError(fault.describe() + count_others(fault))
+        )
+        if faults:
+            raise faults[0].to_error()
         if columns["truncated"] is None:
             columns["truncated"] = is_last & ~columns["terminated"]
 
     @staticmethod
     def _moves(
-        state: ArrayLike, action: ArrayLike, next_state: ArrayLike
+        state: ColumnLike, action: ColumnLike, next_state: ColumnLike
     ) -> dict[str, Column | None]:
         """Check the three columns of a transition, each for itself."""
         raise NotImplementedError
@@ -171,7 +176,7 @@ class LogColumns:
             if getattr(self, name) is not None
         }
 
-    def select(self, rows: object) -> Self:
+    def select(self, rows: IntArrayLike) -> Self:
         """Return the given rows as independent transitions.
 
         Timesteps are kept, episodes are not.
@@ -193,11 +198,9 @@ class LogColumns:
         """
         try:
             asked = np.asarray(rows)
-            chosen = (
-                np.arange(len(self))[asked]
-                if asked.size
-                else np.zeros(0, dtype=np.int64)
-            )
+            chosen = np.zeros(0, dtype=np.int64)
+            if asked.size:
+                chosen = np.arange(len(self))[asked]
             if chosen.ndim != 1:
                 raise IndexError(f"they have shape {asked.shape}")
         except (IndexError, ValueError, TypeError, OverflowError) as error:
@@ -209,13 +212,9 @@ class LogColumns:
             raise ArgumentError(
                 "rows", "must choose at least one row; they choose none"
             )
-        return type(self)(
-            **{
-                name: column[chosen]
-                for name, column in self.columns().items()
-                if name != "episode"
-            }
-        )
+        columns = self.columns()
+        columns.pop("episode", None)
+        return type(self)(**{name: column[chosen] for name, column in columns.items()})
 
     def first(self, n: int) -> Self:
         """Return the first n rows with their episodes.
@@ -288,12 +287,12 @@ class LogColumns:
             if all(name in part for part in columns)
         }
         if "episode" in joined:
-            after = np.cumsum(
-                [0, *(int(part.max()) + 1 for part in joined["episode"][:-1])]
-            )
+            parts_of_episodes = joined["episode"]
+            sizes = [int(part.max()) + 1 for part in parts_of_episodes[:-1]]
+            firsts = np.cumsum([0, *sizes])
             joined["episode"] = [
                 part + first
-                for part, first in zip(joined["episode"], after, strict=True)
+                for part, first in zip(parts_of_episodes, firsts, strict=True)
             ]
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
@@ -319,9 +318,8 @@ class LogColumns:
         ValueError
             If the log has fewer rows.
         """
-        return self.select(
-            _checks.generator(seed).permutation(len(self))[: self._check_size(n)]
-        )
+        order = _checks.generator(seed).permutation(len(self))
+        return self.select(order[: self._check_size(n)])
 
     def _check_size(self, n: object) -> int:
         """Check a number of rows, of which the log must have as many."""
@@ -356,7 +354,7 @@ class LogColumns:
         files.save(self, self.FILES, path)
 
     @classmethod
-    def load(cls, path: Any) -> Self:
+    def load(cls, path: files.Paths) -> Self:
         """Read a log from files.
 
         Parameters
@@ -403,21 +401,14 @@ def _number_texts(episode: Any) -> Any:
 
     Other episodes are returned as they are.
     """
-    is_texts = (
-        episode.ndim == 1 and episode.dtype.kind in "UO"
-        if isinstance(episode, np.ndarray)
-        else True
-    )
-    items = (
-        list(episode)
-        if is_texts and isinstance(episode, list | tuple | np.ndarray)
-        else []
-    )
-    return (
-        number_in_order(items)[0]
-        if items and all(isinstance(item, str) for item in items)
-        else episode
-    )
+    if isinstance(episode, np.ndarray):
+        may_hold_texts = episode.ndim == 1 and episode.dtype.kind in "UO"
+    else:
+        may_hold_texts = isinstance(episode, list | tuple)
+    items = list(episode) if may_hold_texts else []
+    if items and all(isinstance(item, str) for item in items):
+        return number_in_order(items)[0]
+    return episode
 
 
 def _episode_starts(episode: IntArray) -> IntArray:

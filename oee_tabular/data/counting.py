@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,16 @@ from oee_tabular.data.rules import (
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
 from oee_tabular.data.transitions import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import Name
 from oee_tabular.typing import BoolArray, Column, IntArray
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
-N_SPARE = 2  # times the sample is kept before it is cut
+MAX_SAMPLE_FACTOR = 2  # rows that are kept before the sample is cut, of those wanted
 LAST_PLACE = 2**64 - 1
+
+# the first row of a fault, its place, the broken rule, and the number of rows
+FirstFault: TypeAlias = tuple[int, str, str, int]
 WAY = " (bad_rows='drop', --bad-rows drop, leaves such rows out and counts them)"
 
 
@@ -68,18 +72,13 @@ class Sample(NamedTuple):
         parts = [sample.rows for sample in (self, other) if sample.rows]
         if not parts:
             return Sample(limit=limit)
-        labels = dict.fromkeys(label for part in parts for label in part)
-        columns = {
-            label: [
+        rows = {}
+        for label in dict.fromkeys(label for part in parts for label in part):
+            columns = [
                 part.get(label, np.full(len(part["place"]), np.nan)) for part in parts
             ]
-            for label in labels
-        }
-        return cut_sample(
-            {label: np.concatenate(column) for label, column in columns.items()},
-            kept,
-            limit,
-        )
+            rows[label] = np.concatenate(columns)
+        return cut_sample(rows, kept, limit)
 
 
 def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
@@ -116,17 +115,13 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         table = open_table(file, form)
     else:
         columns = form.to_table(Transitions.load(file.path).columns())
-        table = Table(
-            list(columns),
-            list(columns),
-            [Piece(columns, np.arange(len(columns["state"])), {})],
-        )
+        labels = list(columns)
+        whole = Piece(columns, np.arange(len(columns["state"])), {})
+        table = Table(labels, labels, [whole])
     count = _FileCount(file.path, limits, name)
-    if not (
-        file.suffix == ".parquet"
-        and {"episode", "timestep"}.isdisjoint(table.known)
-        and count.add_groups(table)
-    ):
+    has_episodes = not {"episode", "timestep"}.isdisjoint(table.known)
+    can_group = file.suffix == ".parquet" and not has_episodes
+    if not (can_group and count.add_groups(table)):
         for piece in table.pieces:
             count.add(piece)
     sample = count.draw_episodes() if count.n_rows else Sample()
@@ -144,17 +139,19 @@ class _FileCount:
         self.limits = limits
         self.name = name
         self.sums: list[dict[str, Column]] = []
-        # by kind: the first row, the words for it, how many rows
-        self.faults: dict[str, tuple[int, str, int]] = {}
-        self.n_dropped = self.n_truncated = 0
-        # that have an episode; runs of such rows with the same one
-        self.n_rows = self.n_runs = 0
+        self.faults: dict[str, FirstFault] = {}  # by kind
+        self.n_dropped = 0
+        self.n_truncated = 0
+        # rows that have an episode, and runs of such rows with the same one
+        self.n_rows = 0
+        self.n_runs = 0
         self.last: dict[str, Column] = {}  # the last row of the piece before
-        self.last_row = self.last_lost = -1
-        # of the runs, among these rows and among those of the file
+        self.last_row = -1
+        self.last_lost = -1
+        # the first row of each run, among these rows and among those of the file
         self.starts: list[IntArray] = []
-        self.names: list[Column] = []  # of their episodes
-        self.broken: list[IntArray] = []
+        self.names: list[Column] = []  # the episode of each run
+        self.broken: list[IntArray] = []  # the runs with a bad row
         # the rows that may be in the sample, with their run
         self.kept: list[dict[str, Column]] = []
         self.limit = LAST_PLACE
@@ -164,45 +161,45 @@ class _FileCount:
 
         Returns False, and adds nothing, where a value is odd.
         """
-        groups = (
-            sum_groups(self.path, table.known)
-            if set(table.known) <= set(table.labels)
-            else None
-        )
-        if groups is None:
+        if not set(table.known) <= set(table.labels):
+            return False  # a folder names a column
+        groups = sum_groups(self.path, table.known)
+        if groups is None or self._has_odd_values(groups, table.known):
             return False
-        for label in table.known:
-            if label in (*KEY, "truncated"):
-                groups[label], fault = self._check(groups[label], label)
-                has_all = True
-            else:
-                # texts have another order
-                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])
-                fault = self._check(ends, label)[1]
-                has_all = (
-                    label == "reward"
-                    or (groups[f"{label}_count"] == groups["count"]).all()
-                )
-                has_all &= not ends.dtype.hasobject
-            if fault is not None or not has_all:
-                return False
-        if (
-            "reward" in table.known
-            and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any()
-        ):
-            return False  # a reward that is nan is missing, and DuckDB adds it
-        self.n_truncated = (
-            int(groups["count"][groups["truncated"]].sum())
-            if "truncated" in groups
-            else 0
-        )
+        if "truncated" in groups:
+            self.n_truncated = int(groups["count"][groups["truncated"]].sum())
         add_sums(self.sums, groups)
         return True
 
+    def _has_odd_values(self, groups: dict[str, Column], labels: list[str]) -> bool:
+        """Say whether DuckDB's sums need a look at the values themselves.
+
+        States, actions and flags are replaced by their checked values.
+        """
+        for label in labels:
+            if label in (*KEY, "truncated"):
+                groups[label], fault = self._check(groups[label], label)
+                if fault is not None:
+                    return True
+                continue
+            # texts have another order
+            ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])
+            fault = self._check(ends, label)[1]
+            if fault is not None or ends.dtype.hasobject:
+                return True
+            is_complete = (groups[f"{label}_count"] == groups["count"]).all()
+            if label != "reward" and not is_complete:
+                return True
+        if "reward" not in labels:
+            return False
+        # a reward that is nan is missing, and DuckDB adds it
+        is_nan = np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)
+        return bool(is_nan.any())
+
     def add(self, piece: Piece) -> None:
         """Check one more piece and add its sums and episodes."""
-        for row, words in piece.lost.items():
-            self._note("fields", row, words)
+        for row, (place, rule) in piece.lost.items():
+            self._note("fields", row, place, rule)
         columns = {}
         is_bad = np.zeros(len(piece.rows), dtype=np.bool_)
         has_episode = ~is_bad
@@ -213,13 +210,13 @@ class _FileCount:
                 is_bad[fault.rows] = True
                 has_episode[fault.rows] &= label != "episode"
         if "episode" in columns and has_episode.any():
-            self._follow(
-                choose(columns | {"is_bad": is_bad, "row": piece.rows}, has_episode)
-            )
+            marked = columns | {"is_bad": is_bad, "row": piece.rows}
+            self._follow(choose(marked, has_episode))
         self.last_lost = max([self.last_lost, *piece.lost, *piece.rows[~has_episode]])
         good = choose(columns, ~is_bad)
         self.n_dropped += len(piece.lost) + int(is_bad.sum())
-        self.n_truncated += int(good["truncated"].sum()) if "truncated" in good else 0
+        if "truncated" in good:
+            self.n_truncated += int(good["truncated"].sum())
         add_sums(self.sums, good)
 
     def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
@@ -237,12 +234,12 @@ class _FileCount:
     def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
         """Note a fault of rows of a piece, whose numbers in the file are ``rows``."""
         row = int(rows[fault.rows[0]])
-        self._note(kind, row, fault.describe(row), len(fault.rows))
+        self._note(kind, row, fault.place(row), fault.problem(), len(fault.rows))
 
-    def _note(self, kind: str, row: int, words: str, n: int = 1) -> None:
-        """Keep the words for the first row of each kind of fault, and count rows."""
-        first_row, first_words, before = self.faults.get(kind, (row, words, 0))
-        self.faults[kind] = first_row, first_words, before + n
+    def _note(self, kind: str, row: int, place: str, rule: str, n: int = 1) -> None:
+        """Keep the first row of each kind of fault with its rule, and count rows."""
+        first = self.faults.get(kind, (row, place, rule, 0))
+        self.faults[kind] = (*first[:3], first[3] + n)
 
     def _follow(self, columns: dict[str, Column]) -> None:
         """Note where episodes begin, which are broken, and rows for the sample."""
@@ -272,16 +269,19 @@ class _FileCount:
         self.last_row = int(rows[-1])
         self.n_rows += len(rows)
         self.n_runs = int(run[-1]) + 1
+        self._keep_rows(columns, run)
+
+    def _keep_rows(self, columns: dict[str, Column], run: IntArray) -> None:
+        """Keep the rows whose episodes may be in the sample."""
         place = hash_places(np.arange(run[0], self.n_runs), self.name)[run - run[0]]
-        own = {
-            label: columns[label]
-            for label in COLUMNS
-            if label in columns and label != "episode"
-        }
-        self.kept.append(
-            choose(own | {"run": run, "place": place}, place < np.uint64(self.limit))
-        )
-        if sum(len(kept["run"]) for kept in self.kept) > N_SPARE * self.limits.kept:
+        labels = [label for label in COLUMNS if label in columns and label != "episode"]
+        own = {label: columns[label] for label in labels}
+        marked = own | {"run": run, "place": place}
+        self.kept.append(choose(marked, place < np.uint64(self.limit)))
+        if (
+            sum(len(kept["run"]) for kept in self.kept)
+            > MAX_SAMPLE_FACTOR * self.limits.kept
+        ):
             self._cut()
 
     def _cut(self) -> Sample:
@@ -305,17 +305,16 @@ class _FileCount:
         names = names.astype(str) if names.dtype.hasobject else names
         repeat = find_repeat(names, np.concatenate(self.starts, axis=1)[1])
         if repeat is not None:
-            self._note("together", *repeat)
+            row, rule = repeat
+            self._note("together", row, "episode", rule)
             _, code, number = np.unique(names, return_inverse=True, return_counts=True)
             self.broken.append(np.flatnonzero(number[code] > 1))
         if self.last_lost > self.last_row:
             self.broken.append(np.array([self.n_runs - 1]))
         sample = self._cut()
-        return sample._replace(
-            rows={
-                label: column for label, column in sample.rows.items() if label != "run"
-            }
-        )
+        rows = dict(sample.rows)
+        rows.pop("run", None)
+        return sample._replace(rows=rows)
 
     def recording(self, sums: Mapping[str, Column] | None, table: Table) -> Recording:
         """Return how the file was recorded, with the first row of each fault.
@@ -323,11 +322,12 @@ class _FileCount:
         Raises a ValueError where such rows are refused.
         """
         words = []
-        for _, text, n in sorted(self.faults.values())[:N_REASONS]:
-            more = f"; {n - 1} other rows break the same rule" * (n > 1)
-            words.append(f"{self.path!r}: {text}{more}")
+        for _, place, rule, n in sorted(self.faults.values())[:N_REASONS]:
+            others = f"; {n - 1} other rows break the same rule" if n > 1 else ""
+            error = ArgumentError(f"{self.path!r}: {place}", rule + others)
+            words.append(str(error))
             if not self.limits.drop:
-                raise ValueError(words[0] + WAY)
+                raise ArgumentError(error.argument, error.rule + WAY)
         recording = Recording(
             "episode" in table.known,
             files=1,
@@ -339,9 +339,9 @@ class _FileCount:
         length = np.diff(np.concatenate(self.starts, axis=1)[0], append=self.n_rows)
         broken = np.unique(np.concatenate(self.broken))
         if "truncated" not in table.known:
-            n_terminated = (
-                0 if sums is None else int(sums["count"][sums["terminated"] == 1].sum())
-            )
+            n_terminated = 0
+            if sums is not None:
+                n_terminated = int(sums["count"][sums["terminated"] == 1].sum())
             self.n_truncated = max(len(length) - n_terminated, 0)
         return recording._replace(
             episodes=len(length),
@@ -354,22 +354,18 @@ class _FileCount:
 
 def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
     """Return the chosen rows of columns; the columns themselves where all are."""
-    return (
-        columns
-        if chosen.all()
-        else {label: column[chosen] for label, column in columns.items()}
-    )
+    if chosen.all():
+        return columns
+    return {label: column[chosen] for label, column in columns.items()}
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:
     """Return splitmix64 of number + a hash of the name as a place in the draw."""
-    salt = np.uint64(
-        int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    )
+    digest = hashlib.sha256(name.encode()).digest()
+    salt = np.uint64(int.from_bytes(digest[:8], "little"))
+    step = np.uint64(0x9E3779B97F4A7C15)
     with np.errstate(over="ignore"):
-        x = (number.astype(np.uint64) + np.uint64(1)) * np.uint64(
-            0x9E3779B97F4A7C15
-        ) + salt
+        x = (number.astype(np.uint64) + np.uint64(1)) * step + salt
         x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         return np.asarray(x ^ (x >> np.uint64(31)))

@@ -7,11 +7,10 @@ needs whole episodes (importance sampling) a sample of them can stand beside the
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
@@ -20,11 +19,20 @@ from oee_tabular.data.rules import KEY, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
 from oee_tabular.data.transitions import Transitions, describe_facts
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, Column, IntArray
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Column,
+    Csr,
+    IntArray,
+    IntArrayLike,
+    RealArrayLike,
+    SparseLike,
+)
 
 KIND = "transition_counts"
 REWARDS = COUNTED[1:]
-N_REASONS = 5  # kinds of bad rows that are told with an example
+N_REASONS = 5  # kinds of bad rows of which an example is given
 
 
 class Recording(NamedTuple):
@@ -64,13 +72,11 @@ class Recording(NamedTuple):
 
     def join(self, other: Recording) -> Recording:
         """Return the two as one recording, by episodes if the ``other`` is."""
-        least = min(
-            (length for length in (self.shortest, other.shortest) if length), default=0
-        )
+        lengths = [length for length in (self.shortest, other.shortest) if length]
         return Recording(
             other.by_episodes,
             self.episodes + other.episodes,
-            least,
+            min(lengths, default=0),
             max(self.longest, other.longest),
             self.truncated + other.truncated,
             self.broken + other.broken,
@@ -80,7 +86,10 @@ class Recording(NamedTuple):
         )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+RECORDED_BY_EPISODES = Recording()
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class TransitionCounts:
     """Hold the distinct transitions of a log with their counts, immutable.
 
@@ -137,36 +146,55 @@ class TransitionCounts:
     action: IntArray
     next_state: IntArray
     count: Array
-    terminated: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-    reward_sum: Array | None = None
-    reward_min: Array | None = None
-    reward_max: Array | None = None
-    reward_count: Array | None = None
-    recording: Recording = field(default_factory=Recording)
-    sample: Transitions | None = None
+    terminated: BoolArray
+    reward_sum: Array | None
+    reward_min: Array | None
+    reward_max: Array | None
+    reward_count: Array | None
+    recording: Recording
+    sample: Transitions | None
 
-    # what a bag of moves has not
+    # columns of a log that counts do not have
     reward: ClassVar[None] = None
     episode: ClassVar[None] = None
     timestep: ClassVar[None] = None
     episode_starts: ClassVar[None] = None
     behavior_probability: ClassVar[None] = None
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        state: IntArrayLike,
+        action: IntArrayLike,
+        next_state: IntArrayLike,
+        count: RealArrayLike,
+        terminated: RealArrayLike | None = None,
+        reward_sum: RealArrayLike | None = None,
+        reward_min: RealArrayLike | None = None,
+        reward_max: RealArrayLike | None = None,
+        reward_count: RealArrayLike | None = None,
+        recording: Recording = RECORDED_BY_EPISODES,
+        sample: Transitions | None = None,
+    ) -> None:
         given = {
-            name: getattr(self, name)
-            for name in (*KEY, *COUNTED)
-            if getattr(self, name) is not None
+            "state": state,
+            "action": action,
+            "next_state": next_state,
+            "terminated": terminated,
+            "count": count,
+            "reward_sum": reward_sum,
+            "reward_min": reward_min,
+            "reward_max": reward_max,
+            "reward_count": reward_count,
         }
-        columns: dict[str, Column] = {
-            name: (
-                check_array(value, name)
-                if name in KEY
-                else _checks.float_array(value, name, ndim=1)
-            )
-            for name, value in given.items()
-        }
-        if not columns["terminated"].size:
+        columns: dict[str, Column] = {}
+        for name, value in given.items():
+            if value is None:
+                continue
+            if name in KEY:
+                columns[name] = check_array(value, name)
+            else:
+                columns[name] = _checks.float_array(value, name, ndim=1)
+        if "terminated" not in columns or not columns["terminated"].size:
             columns["terminated"] = np.zeros(len(columns["state"]), dtype=np.bool_)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
@@ -176,34 +204,25 @@ class TransitionCounts:
         if lengths["state"] == 0:
             raise ArgumentError("state", "must have at least one row; the log is empty")
         if len({name in columns for name in REWARDS[:3]}) > 1:
-            raise ValueError(
-                "reward_sum, reward_min and reward_max must be given together"
+            raise ArgumentError(
+                "reward_sum, reward_min and reward_max", "must be given together"
             )
         count = columns["count"]
-        _require(
-            count,
-            "count",
-            (count > 0) & (count <= 2.0**53),
-            "positive and at most 2**53",
-        )
+        is_good = (count > 0) & (count <= 2.0**53)
+        _require(count, "count", is_good, "positive and at most 2**53")
         if "reward_sum" in columns:
-            paid = columns.setdefault("reward_count", count.copy())
-            _require(
-                paid, "reward_count", (paid >= 0) & (paid <= count), "in [0, count]"
-            )
-            for name in REWARDS[:3]:
-                _checks.require_finite(
-                    np.where((paid == 0) & np.isnan(columns[name]), 0.0, columns[name]),
-                    name,
-                )
-        _checks.instance(self.recording, Recording, "recording")
-        if self.sample is not None:
-            _checks.instance(self.sample, Transitions, "sample", "Transitions")
-        for name, column in columns.items():
-            object.__setattr__(self, name, freeze(column))
+            _check_counted_rewards(columns)
+        _checks.instance(recording, Recording, "recording")
+        if sample is not None:
+            _checks.instance(sample, Transitions, "sample", "Transitions")
+        for name in given:
+            column = columns.get(name)
+            object.__setattr__(self, name, None if column is None else freeze(column))
+        object.__setattr__(self, "recording", recording)
+        object.__setattr__(self, "sample", sample)
 
     @classmethod
-    def of(cls, matrix: object, n_actions: int) -> Self:
+    def of(cls, matrix: SparseLike, n_actions: int) -> Self:
         """Make counts of a matrix of them.
 
         Parameters
@@ -254,7 +273,7 @@ class TransitionCounts:
 
     def counts(
         self, n_states: int, n_actions: int, *, discount: float | None = None
-    ) -> sparse.csr_array:
+    ) -> Csr:
         """Return the counts of each (s, a, s').
 
         Parameters
@@ -318,7 +337,14 @@ class TransitionCounts:
             there is no such number.
         """
         told = self.recording
-        paid = self.reward_sum is not None
+        least: float | None = None
+        largest: float | None = None
+        missing: int | None = None
+        if self.reward_min is not None and self.reward_max is not None:
+            least = float(np.nanmin(self.reward_min))
+            largest = float(np.nanmax(self.reward_max))
+        if self.reward_count is not None:
+            missing = round(float((self.count - self.reward_count).sum()))
         return {
             "transitions": len(self),
             "different": len(self.count),
@@ -330,11 +356,9 @@ class TransitionCounts:
             "truncated": told.truncated,
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "reward_min": float(np.nanmin(self.reward_min)) if paid else None,  # type: ignore[arg-type]
-            "reward_max": float(np.nanmax(self.reward_max)) if paid else None,  # type: ignore[arg-type]
-            "rewards_missing": (
-                round(float((self.count - self.reward_count).sum())) if paid else None  # type: ignore[operator]
-            ),
+            "reward_min": least,
+            "reward_max": largest,
+            "rewards_missing": missing,
             "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
             "broken_episodes": told.broken or None,
             "rows_dropped": told.dropped or None,
@@ -368,11 +392,9 @@ class TransitionCounts:
             "reasons": np.array(self.recording.reasons, dtype=np.str_),
         }
         sample = {} if self.sample is None else self.sample.columns()
-        _files.save_npz(
-            path,
-            KIND,
-            arrays | {f"sample_{name}": column for name, column in sample.items()},
-        )
+        for name, column in sample.items():
+            arrays[f"sample_{name}"] = column
+        _files.save_npz(path, KIND, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
@@ -412,6 +434,21 @@ def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
         )
 
 
+def _check_counted_rewards(columns: dict[str, Column]) -> None:
+    """Check the sums, least, largest and numbers of rewards against the counts.
+
+    Fills in the numbers, which are the counts by default.
+    """
+    count = columns["count"]
+    n_paid = columns.setdefault("reward_count", count.copy())
+    is_good = (n_paid >= 0) & (n_paid <= count)
+    _require(n_paid, "reward_count", is_good, "in [0, count]")
+    for name in REWARDS[:3]:
+        # least and largest of no reward are nan
+        is_absent = (n_paid == 0) & np.isnan(columns[name])
+        _checks.require_finite(np.where(is_absent, 0.0, columns[name]), name)
+
+
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Make counts of the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
@@ -439,6 +476,5 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
             "must hold the parts of counts alone; it has"
             f" {_checks.show(next(iter(parts)))}",
         )
-    return TransitionCounts(
-        **columns, recording=recording, sample=Transitions(**sample) if sample else None
-    )
+    episodes = Transitions(**sample) if sample else None
+    return TransitionCounts(**columns, recording=recording, sample=episodes)

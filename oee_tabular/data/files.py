@@ -56,14 +56,12 @@ class Format:
 
     def to_table(self, columns: Columns) -> Columns:
         """Return the columns of a table, each (n,), names as texts."""
-        return {
-            name: (
-                np.array([str(item) for item in column], dtype=object)
-                if column.dtype.hasobject
-                else column
-            )
-            for name, column in columns.items()
-        }
+        table = {}
+        for name, column in columns.items():
+            if column.dtype.hasobject:
+                column = np.array([str(item) for item in column], dtype=object)
+            table[name] = column
+        return table
 
     def from_table(self, columns: Columns, name: str) -> Columns:
         """Return the columns of a log from those of the table ``name``."""
@@ -79,11 +77,8 @@ class Format:
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """Raise an ArgumentError where a Minari episode is none of such a log."""
-        if (
-            observations.ndim != 1
-            or observations.dtype.kind not in "iu"
-            or actions.dtype.kind not in "iu"
-        ):
+        kinds = observations.dtype.kind + actions.dtype.kind
+        if observations.ndim != 1 or not set(kinds) <= {"i", "u"}:
             raise ArgumentError(
                 f"{name!r}",
                 "must have discrete observations and actions; they have shapes"
@@ -99,12 +94,11 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     if form.writes_minari and (name.startswith("minari:") or suffix == ""):
         save_minari(log, name)
     elif suffix == ".npz":
-        columns = log.columns().items()
-        texts = {
-            label: to_text(column) if column.dtype.hasobject else column
-            for label, column in columns
-        }
-        _files.save_npz(name, form.kind, texts)
+        columns = log.columns()
+        for label, column in columns.items():
+            if column.dtype.hasobject:
+                columns[label] = to_text(column)
+        _files.save_npz(name, form.kind, columns)
     elif suffix == ".csv":
         import pandas as pd
 
@@ -124,40 +118,47 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
     """
     name = _files.local(file.path)
     if file.suffix == ".npz":
-        columns = _files.load_npz(name, form.kind)
-        columns.pop(_files.KIND)
-        unknown = [label for label in columns if label not in COLUMNS]
-        if unknown:
-            raise ArgumentError(
-                f"{name!r}",
-                "must hold the columns of a log alone; it has"
-                f" {_checks.show(unknown[0])}",
-            )
-        form.require(columns, name)
-        with _files.parts_of(name, "a log"):
-            for label, array in columns.items():
-                columns[label] = (
-                    as_objects(from_text(array, label))
-                    if array.dtype.kind == "U"
-                    else array
-                )
+        columns = _load_npz(form, name)
     elif file.suffix in (".csv", ".parquet"):
-        table = open_table(file, form)
-        columns = form.from_table(
-            check_table(_read_whole(file, table), repr(name)), name
-        )
-        unknown = [
-            label
-            for label in table.labels
-            if not form.is_known(label) and label not in reported
-        ]
-        reported.update(unknown)
-        warn_left_out(name, unknown, COLUMNS)
+        columns = _load_table(form, file, name, reported)
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
     else:
         raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def _load_npz(form: Format, name: str) -> Columns:
+    """Read the columns of a log from an npz file."""
+    columns = _files.load_npz(name, form.kind)
+    columns.pop(_files.KIND)
+    unknown = [label for label in columns if label not in COLUMNS]
+    if unknown:
+        raise ArgumentError(
+            f"{name!r}",
+            f"must hold the columns of a log alone; it has {_checks.show(unknown[0])}",
+        )
+    form.require(columns, name)
+    with _files.parts_of(name, "a log"):
+        for label, array in columns.items():
+            if array.dtype.kind == "U":
+                columns[label] = as_objects(from_text(array, label))
+    return columns
+
+
+def _load_table(form: Format, file: LogFile, name: str, reported: set[str]) -> Columns:
+    """Read the columns of a log from a CSV or parquet file."""
+    table = open_table(file, form)
+    values = check_table(_read_whole(file, table), repr(name))
+    columns = form.from_table(values, name)
+    unknown = [
+        label
+        for label in table.labels
+        if not form.is_known(label) and label not in reported
+    ]
+    reported.update(unknown)
+    warn_left_out(name, unknown, COLUMNS)
+    return columns
 
 
 def _read_whole(file: LogFile, table: Table) -> Columns:
@@ -166,20 +167,18 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
     Raises a ValueError for a line that has another number of fields than its header.
     """
     if file.suffix == ".parquet":
-        _checks.require_memory(
-            count_parquet_rows(file.path) * len(table.known), repr(file.path)
-        )
+        n_values = count_parquet_rows(file.path) * len(table.known)
+        _checks.require_memory(n_values, repr(file.path))
     pieces = list(table.pieces)
-    for words in (words for piece in pieces for words in piece.lost.values()):
-        raise ValueError(f"{file.path!r}: {words}")
-    return {
-        label: (
-            np.concatenate([piece.columns[label] for piece in pieces])
-            if pieces
-            else np.zeros(0)
-        )
-        for label in table.known
-    }
+    for piece in pieces:
+        for place, rule in piece.lost.values():
+            raise ArgumentError(f"{file.path!r}: {place}", rule)
+    if not pieces:
+        return {label: np.zeros(0) for label in table.known}
+    columns = {}
+    for label in table.known:
+        columns[label] = np.concatenate([piece.columns[label] for piece in pieces])
+    return columns
 
 
 def find_log_files(path: Paths) -> list[LogFile]:
@@ -191,19 +190,15 @@ def find_log_files(path: Paths) -> list[LogFile]:
 
     [1] Apache Hive.
     """
-    given = (
-        [path]
-        if isinstance(path, str | os.PathLike)
-        else list(_checks.collection(path, "path", "paths of files"))
-    )
+    if isinstance(path, str | os.PathLike):
+        given = [path]
+    else:
+        given = list(_checks.collection(path, "path", "paths of files"))
     some = [file for one in given for file in _files_at(_files.local(one))]
     if not some:
         raise ArgumentError("path", "must name files; it is an empty list")
-    again = sorted(
-        name
-        for name, number in Counter(file.path for file in some).items()
-        if number > 1
-    )
+    numbers = Counter(file.path for file in some)
+    again = sorted(name for name, number in numbers.items() if number > 1)
     if again:
         raise ArgumentError(
             "path", f"must name each file once; {again[0]!r} is named twice"
@@ -222,21 +217,17 @@ def _files_at(name: str) -> list[LogFile]:
                 f"must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
                 " none",
             )
-        ways = [
-            file.relative_to(place)
-            for file in files
-            if _is_data_file(file.relative_to(place))
+        ways = [file.relative_to(place) for file in files]
+        found = [
+            LogFile(str(place / way), _parse_folders(way))
+            for way in ways
+            if _is_data_file(way)
         ]
-        return [LogFile(str(place / way), _parse_folders(way)) for way in ways] or [
-            LogFile(name)
-        ]
+        return found or [LogFile(name)]
     if place.is_file() or not glob.has_magic(name):
         return [LogFile(name)]
-    matching = [
-        Path(file)
-        for file in sorted(glob.glob(name, recursive=True))
-        if Path(file).is_file()
-    ]
+    paths = [Path(file) for file in sorted(glob.glob(name, recursive=True))]
+    matching = [path for path in paths if path.is_file()]
     if not matching:
         raise FileNotFoundError(2, "no file matches the pattern", name)
     return [LogFile(str(file), _parse_folders(file)) for file in matching]
@@ -261,7 +252,6 @@ def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
 
     It is the same wherever that folder stands.
     """
-    common = os.path.commonpath(
-        [os.path.dirname(os.path.abspath(one.path)) for one in files]
-    )
+    folders = [os.path.dirname(os.path.abspath(one.path)) for one in files]
+    common = os.path.commonpath(folders)
     return re.sub(r"[\\/]+", "/", os.path.relpath(os.path.abspath(file.path), common))

@@ -54,13 +54,6 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     ``column_names``: what the frame calls them. Raises an ArgumentError for what is no
     frame, for columns that it has not, and for the first value that is none of a log's.
     """
-    for field in column_names:
-        if field not in COLUMNS:
-            raise ArgumentError(
-                "column_names",
-                f"must be of {', '.join(COLUMNS)}; got"
-                f" {field!r:.80}{suggest(field, COLUMNS)}",
-            )
     table = eager(frame)
     labels = [str(label) for label in table.columns]
     given = {
@@ -82,36 +75,46 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
             f" {', '.join(labels) or 'none':.300}{hint} (say which it is:"
             f" Transitions.from_frame(frame, {missing[0]}='its name', ...))",
         )
+    _warn_of_near_labels(labels, taken)
+    columns = {field: _join_columns(table, group) for field, group in taken.items()}
+    return check_table(columns, "frame")
+
+
+def _warn_of_near_labels(labels: list[str], taken: dict[str, list[str]]) -> None:
+    """Warn of columns that a log does not use but whose names resemble a log's."""
     used = {label for group in taken.values() for label in group}
     absent = [field for field in COLUMNS if field not in taken]
-    near = [
-        f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})"
-        for label in labels
-        if label not in used
-        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8)
-    ]
+    near = []
+    for label in labels:
+        if label in used:
+            continue
+        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8):
+            near.append(f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})")
     if near:
         _checks.warn(
             "columns of the frame that a log does not use are left out:"
             f" {', '.join(near)}",
             DataWarning,
         )
-    return check_table(
-        {field: _join_columns(table, group) for field, group in taken.items()}, "frame"
-    )
 
 
 def _join_columns(table: Any, labels: list[str]) -> Column:
     """Return a column's values, or the tuples of several columns' values."""
-    columns = []
-    for label in labels:
-        values = np.asarray(table[label].to_numpy())
-        absent = table[label].is_null().to_numpy()
-        columns.append(np.where(absent, np.nan, values) if absent.any() else values)
+    columns = [_column_values(table[label]) for label in labels]
     if len(columns) == 1:
         return columns[0]
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return as_objects([None if any(map(is_missing, row)) else row for row in rows])
+
+
+def _column_values(column: Any) -> Column:
+    """Return the values of one column of a frame, nan where one is missing."""
+    values = np.asarray(column.to_numpy())
+    if values.dtype.kind in "UT":
+        # names are objects: polars makes texts of one width of a column without gaps
+        values = values.astype(object)
+    is_absent = column.is_null().to_numpy()
+    return np.where(is_absent, np.nan, values) if is_absent.any() else values
 
 
 def eager(frame: Any) -> Any:
@@ -122,11 +125,9 @@ def eager(frame: Any) -> Any:
     import narwhals as nw
 
     if not is_frame(frame):
-        hint = (
-            " (a file: Transitions.load)"
-            if isinstance(frame, str | os.PathLike)
-            else ""
-        )
+        hint = ""
+        if isinstance(frame, str | os.PathLike):
+            hint = " (a file: Transitions.load)"
         raise ArgumentError(
             "frame",
             "must be a data frame (pandas, polars, arrow); got"
@@ -143,11 +144,10 @@ def eager(frame: Any) -> Any:
 
 def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     """Return the frame's labels of one field, several where they make a name."""
-    group = (
-        [given]
-        if isinstance(given, str)
-        else list(_checks.collection(given, field, "a column's name, or several"))
-    )
+    if isinstance(given, str):
+        group = [given]
+    else:
+        group = list(_checks.collection(given, field, "a column's name, or several"))
     for label in group:
         if not isinstance(label, str) or label not in labels:
             raise ArgumentError(
@@ -173,12 +173,11 @@ def episode_columns(episodes: object) -> dict[str, Any]:
     rows: list[tuple[Any, ...]] = []
     n_cut = 0
     for k, episode in enumerate(given):
-        moves = _moves_of(
-            _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}"), k
-        )
-        known = [move for move in moves if len(move) == 5]
-        rows += [(*move, k) for move in known]
-        n_cut += len(moves) - len(known)
+        steps = _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}")
+        transitions = _transitions_of(steps, k)
+        known = [transition for transition in transitions if len(transition) == 5]
+        rows += [(*transition, k) for transition in known]
+        n_cut += len(transitions) - len(known)
     if not rows:
         raise ArgumentError(
             "episodes",
@@ -194,9 +193,8 @@ def episode_columns(episodes: object) -> dict[str, Any]:
             DataWarning,
         )
     labels = ("state", "action", "reward", "next_state", "terminated", "episode")
-    return dict(
-        zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True)
-    )
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    return dict(zip(labels, columns, strict=True))
 
 
 def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
@@ -211,7 +209,7 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     return _checks.collection(value, name, rule)
 
 
-def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
+def _transitions_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
     """Return (state, action, reward, next_state, terminated) of each step.
 
     A step has no next_state where nothing says where it led.
@@ -223,29 +221,31 @@ def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
     has_end = len(steps) > 1 and len(steps[-1]) in (1, 2)
     end = steps.pop() if has_end else ()
     for t, step in enumerate(steps):
-        place = f"episodes[{episode}][{t}] must be a step, {STEP}"
+        place = f"episodes[{episode}][{t}]"
+        rule = f"must be a step, {STEP}"
         if len(step) not in (3, 4, 5, 6):
-            raise ValueError(f"{place}; it has {len(step)} parts")
+            raise ArgumentError(place, f"{rule}; it has {len(step)} parts")
         if isinstance(step[2], str | tuple | list | Mapping):
-            raise ValueError(f"{place}; its reward is {step[2]!r:.80}")
+            raise ArgumentError(place, f"{rule}; its reward is {step[2]!r:.80}")
     if len(end) == 2 and end[1] not in (0, 1):
-        hint = f" (of a state that is a tuple: ({end!r:.80},))" * isinstance(
-            steps[0][0], tuple
-        )
+        hint = ""
+        if isinstance(steps[0][0], tuple):
+            hint = f" (of a state that is a tuple: ({end!r:.80},))"
         place = f"episodes[{episode}][{len(steps)}]"
         raise ArgumentError(
             place,
             "must be (state,) or (state, terminated), the end; it is"
             f" {end!r:.80}{hint}",
         )
-    moves = []
+    transitions = []
     for step, following in zip(steps, [*steps[1:], end], strict=False):
-        led_to = (step[3:4] or following)[:1]
-        is_over = (
-            step[4] if len(step) > 4 else following is end and len(end) == 2 and end[1]
-        )
-        moves.append((*step[:3], *led_to, is_over))
-    return moves
+        next_state = (step[3:4] or following)[:1]
+        if len(step) > 4:
+            is_over = step[4]
+        else:
+            is_over = following is end and len(end) == 2 and end[1]
+        transitions.append((*step[:3], *next_state, is_over))
+    return transitions
 
 
 def number_in_order(
@@ -256,12 +256,8 @@ def number_in_order(
     The numbers follow those that ``first`` has.
     """
     number = {} if first is None else first
-    return (
-        np.array(
-            [number.setdefault(item, len(number)) for item in items], dtype=np.int64
-        ),
-        number,
-    )
+    codes = [number.setdefault(item, len(number)) for item in items]
+    return np.array(codes, dtype=np.int64), number
 
 
 def encode_names(
@@ -271,21 +267,17 @@ def encode_names(
 
     Columns of numbers stay as they are, with the names that were given.
     """
-    found = {
-        column: items
-        for column, value in columns.items()
-        if (items := _names_in(value, column)) is not None
-    }
+    found = {}
+    for column, value in columns.items():
+        items = _names_in(value, column)
+        if items is not None:
+            found[column] = items
     # the column that is not in numbers is refused by its reader
     if len(found) < len(columns):
-        size = (
-            len(_checks.collection(given, name, "a sequence of texts or tuples"))
-            if given is not None
-            else 0
-        )
-        return list(columns.values()), (
-            None if given is None else check_names(given, name, size)
-        )
+        if given is None:
+            return list(columns.values()), None
+        names = _checks.collection(given, name, "a sequence of texts or tuples")
+        return list(columns.values()), check_names(given, name, len(names))
     if given is not None:
         raise ArgumentError(
             next(iter(found)),
@@ -302,10 +294,10 @@ def _names_in(value: object, name: str) -> list[Any] | None:
     The column's own reader judges what is no name.
     """
     array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
-    if isinstance(array, np.ndarray) and (
-        array.dtype.kind not in "UO" or array.ndim != 1
-    ):
-        return None
+    if isinstance(array, np.ndarray):
+        may_be_names = array.dtype.kind in "UO" and array.ndim == 1
+        if not may_be_names:
+            return None
     items = list(array)
     is_sequence = bool(items) and isinstance(items[0], list | np.ndarray)
     if not items or (is_sequence and array is value) or not is_name(to_plain(items[0])):
@@ -315,11 +307,7 @@ def _names_in(value: object, name: str) -> list[Any] | None:
         distinct = dict.fromkeys(names)
     except TypeError as error:
         raise ArgumentError(name, f"must be a column of names; {error}") from None
-    odd = [
-        item
-        for item in distinct
-        if not is_name(item) or (isinstance(item, str) and is_number_text(item))
-    ]
+    odd = [item for item in distinct if not _is_column_name(item)]
     if len(odd) == len(distinct):
         return None
     if odd:
@@ -331,6 +319,12 @@ def _names_in(value: object, name: str) -> list[Any] | None:
     return names
 
 
+def _is_column_name(item: Any) -> bool:
+    """Say whether an item is a name that does not read as a number."""
+    reads_as_number = isinstance(item, str) and is_number_text(item)
+    return is_name(item) and not reads_as_number
+
+
 FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its data sets
 
 
@@ -339,20 +333,13 @@ def is_minari(name: str) -> bool:
 
     Raises FileNotFoundError where it can be neither.
     """
-    suffix = Path(name).suffix.lower()
-    if (
-        suffix == ""
-        and not Path(name).exists()
-        and "/" not in name
-        and not name.startswith("minari:")
-    ):
+    has_suffix = Path(name).suffix != ""
+    is_marked = name.startswith("minari:")
+    is_plain = not has_suffix and not is_marked and "/" not in name
+    if is_plain and not Path(name).exists():
         raise FileNotFoundError(2, "no such file", name)
-    return (
-        suffix == ""
-        or Path(name).is_dir()
-        or name.startswith("minari:")
-        or ("/" in name and "-v" in name)
-    )
+    is_id = is_marked or ("/" in name and "-v" in name)
+    return not has_suffix or is_id or Path(name).is_dir()
 
 
 def require_minari() -> None:
@@ -388,17 +375,7 @@ def save_minari(log: Any, name: str) -> None:
     from unittest import mock
 
     require_minari()
-    if log.state_names or log.action_names:
-        raise ArgumentError(
-            "log",
-            "must be in numbers to be a Minari data set; this one has names:"
-            " log.numbered(simulator)",
-        )
-    if log.episode is None or log.reward is None:
-        lacking = "episodes" if log.episode is None else "rewards"
-        raise ArgumentError(
-            "log", f"must have {lacking} to be a Minari data set; this one has none"
-        )
+    _require_minari_columns(log)
     is_id = name.startswith("minari:")
     identifier = name.removeprefix("minari:") if is_id else "oee/log-v0"
     target = find_folder(identifier) if is_id else Path(name)
@@ -418,6 +395,21 @@ def save_minari(log: Any, name: str) -> None:
         raise OSError(
             number, f"cannot be written ({os.strerror(number)})", str(target)
         ) from None
+
+
+def _require_minari_columns(log: Any) -> None:
+    """Raise an ArgumentError where a log cannot be a Minari data set."""
+    if log.state_names or log.action_names:
+        raise ArgumentError(
+            "log",
+            "must be in numbers to be a Minari data set; this one has names:"
+            " log.numbered(simulator)",
+        )
+    if log.episode is None or log.reward is None:
+        lacking = "episodes" if log.episode is None else "rewards"
+        raise ArgumentError(
+            "log", f"must have {lacking} to be a Minari data set; this one has none"
+        )
 
 
 def _write_minari(log: Any, identifier: str) -> None:
@@ -475,9 +467,8 @@ def minari_episodes(name: str) -> list[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            data = MinariDataset(
-                folder / "data" if (folder / "data").is_dir() else folder
-            )
+            has_data_folder = (folder / "data").is_dir()
+            data = MinariDataset(folder / "data" if has_data_folder else folder)
             return list(data.iterate_episodes())
     except MemoryError:
         raise
@@ -511,15 +502,13 @@ def minari_columns(
         }
         recorded = (episode.infos or {}).get("behavior_probability")
         if recorded is not None:
-            columns["behavior_probability"] = np.asarray(
-                recorded, dtype=np.float64
-            ).reshape(-1)[: len(actions)]
+            # Minari has one more of each info than of actions
+            probability = np.asarray(recorded, dtype=np.float64).reshape(-1)
+            columns["behavior_probability"] = probability[: len(actions)]
         parts.append(columns)
     if len({len(part) for part in parts}) > 1:
         raise ArgumentError(
             f"{name!r}", "must record behavior_probability in every episode or in none"
         )
-    return {
-        label: np.concatenate([part[label] for part in parts])
-        for label in (parts[0] if parts else {})
-    }
+    labels = parts[0] if parts else {}
+    return {label: np.concatenate([part[label] for part in parts]) for label in labels}

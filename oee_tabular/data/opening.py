@@ -7,18 +7,19 @@ the same bits.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
 from oee_tabular import _checks, _parallel
-from oee_tabular.data.counting import LARGEST, Limits, Sample, count_file
+from oee_tabular.data.counting import LARGEST, FileCounts, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.frames import is_frame
 from oee_tabular.data.rules import COLUMNS, KEY, warn_left_out
 from oee_tabular.data.sums import add_sums, join_sums
+from oee_tabular.data.tables import LogFile
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -31,7 +32,7 @@ def open_log(
     simulator: FiniteMDP | None = None,
     n_states: int | None = None,
     n_actions: int | None = None,
-    bad_rows: str = "refuse",
+    bad_rows: Literal["refuse", "drop"] = "refuse",
     kept_moves: int = 200_000,
     output: str | os.PathLike[str] | None = None,
     jobs: int = 1,
@@ -116,28 +117,36 @@ def open_log(
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
+    result = _add_files(files, shown, limits.kept)
+    if output is not None:
+        result.save(output)
+    return result
+
+
+def _add_files(
+    files: Sequence[LogFile], counted: Iterable[FileCounts], kept: int
+) -> TransitionCounts:
+    """Add the counts of the files in their order: their sums, recording and sample."""
     sums: list[dict[str, Column]] = []
     recording = Recording(by_episodes=False)
     sample = Sample()
     columns: dict[str, frozenset[str]] = {}
-    for file, counts in zip(files, shown, strict=True):
+    for file, counts in zip(files, counted, strict=True):
         if not columns:
             warn_left_out(file.path, counts.unknown, COLUMNS)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
-        add_sums(sums, counts.sums or {"state": []})
+        if counts.sums is not None:
+            add_sums(sums, counts.sums)
         recording = recording.join(counts.recording)
-        sample = sample.join(counts.sample, limits.kept)
+        sample = sample.join(counts.sample, kept)
     if not sums:
-        first = f", the first of which is {files[0].path!r}"
         raise ArgumentError(
             "path",
-            f"must have at least one good row; of {len(files)} files none has{first}",
+            f"must have at least one good row; of {len(files)} files none has, the"
+            f" first of which is {files[0].path!r}",
         )
-    result = _to_counts(join_sums(sums), recording, sample)
-    if output is not None:
-        result.save(output)
-    return result
+    return _to_counts(join_sums(sums), recording, sample)
 
 
 def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
@@ -149,9 +158,10 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
     differ = sorted((columns[first] ^ columns[path]) - {"reward"})
     if differ:
         has, lacks = (first, path) if differ[0] in columns[first] else (path, first)
-        raise ValueError(
-            f"all files must have the same columns; {has!r} has {differ[0]!r}, and"
-            f" {lacks!r} does not"
+        raise ArgumentError(
+            "all files",
+            f"must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does"
+            " not",
         )
 
 
@@ -172,9 +182,8 @@ def _to_counts(
     rows = dict(sample.rows)
     if len(rows.get("place", ())):
         place = rows.pop("place")
-        columns["sample"] = Transitions(
-            **rows, episode=np.cumsum(np.diff(place, prepend=place[:1]) != 0)
-        )
+        episode = np.cumsum(np.diff(place, prepend=place[:1]) != 0)
+        columns["sample"] = Transitions(**rows, episode=episode)
     return TransitionCounts(**columns, recording=recording)
 
 
@@ -185,17 +194,18 @@ def _limits(
     if simulator is not None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if n_states is not None or n_actions is not None:
-            raise ValueError(
-                "n_states and n_actions must be left out where simulator is given,"
-                " which has its own"
+            raise ArgumentError(
+                "n_states and n_actions",
+                "must be left out where simulator is given, which has its own",
             )
         names = (simulator.state_names, simulator.action_names)
         return Limits((simulator.n_states, simulator.n_actions), names)
-    given = ((n_states, "n_states"), (n_actions, "n_actions"))
-    states, actions = (
-        LARGEST if size is None else _checks.positive_integer(size, name)
-        for size, name in given
-    )
+    states = LARGEST
+    actions = LARGEST
+    if n_states is not None:
+        states = _checks.positive_integer(n_states, "n_states")
+    if n_actions is not None:
+        actions = _checks.positive_integer(n_actions, "n_actions")
     return Limits((states, actions))
 
 
@@ -213,11 +223,8 @@ def read_log(
     if all(isinstance(path, str | os.PathLike) for path in paths):
         try:
             is_counted = not is_list and holds_counts(source)
-            log = (
-                TransitionCounts.load(source)
-                if is_counted
-                else Transitions.load(source)
-            )
+            kind = TransitionCounts if is_counted else Transitions
+            log = kind.load(source)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:
@@ -229,15 +236,17 @@ def read_log(
     if isinstance(log, TransitionCounts):
         return log
     if not isinstance(log, Transitions):
-        hint = (
-            " (a mapping of columns: Transitions(**log))"
-            if isinstance(log, Mapping)
-            else ""
-        )
-        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (
-            getattr(log, "ndim", 0) == 2
-        )
         raise ArgumentError(
-            name, f"must be Transitions; got {type(log).__name__}{hint}"
+            name,
+            f"must be Transitions; got {type(log).__name__}{_suggest_transitions(log)}",
         )
     return log.numbered(simulator, name)
+
+
+def _suggest_transitions(value: Any) -> str:
+    """Return a hint how to make a log of what is none, in words."""
+    if isinstance(value, Mapping):
+        return " (a mapping of columns: Transitions(**log))"
+    if getattr(value, "ndim", 0) == 2:
+        return " (columns state, action, next_state: Transitions(*log.T))"
+    return ""

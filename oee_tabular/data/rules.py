@@ -12,14 +12,17 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
-from oee_tabular.typing import Array, BoolArray, Column, IntArray
+from oee_tabular.typing import Array, BoolArray, Column, IntArray, SupportsArray
+
+# a column of a log as it is given: numbers, flags or names; a text is no column
+ColumnLike: TypeAlias = SupportsArray | list[Any] | tuple[Any, ...] | range
 
 MOVE = ("state", "action", "next_state")
 KEY = (*MOVE, "terminated")  # of sums
@@ -35,7 +38,7 @@ KINDS = {
     "behavior_probability": "numbers",
 }
 COLUMNS = tuple(KINDS)
-N_SHOWN = 10  # of the columns that are left out
+MAX_SHOWN_COLUMNS = 10  # of those that are left out
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 FLAG_TEXTS = {
     "true": True,
@@ -61,21 +64,34 @@ class Fault(NamedTuple):
     hint: str = ""
     shift: int = 0
 
-    def describe(self, row: int | None = None) -> str:
-        """Return the place, the rule and the value in words.
+    def place(self, row: int | None = None) -> str:
+        """Return the label and the number of the first row, ``state[3]``.
 
         ``row``: the number of the first row, where it has another in its file.
         """
-        place = f"{self.label}[{(self.rows[0] if row is None else row) + self.shift}]"
+        first = self.rows[0] if row is None else row
+        return f"{self.label}[{first + self.shift}]"
+
+    def problem(self) -> str:
+        """Return the rule and the value in words, the sentence after the place."""
         if is_missing(self.value):
-            return f"{place} must have a value; it has none"
+            return "must have a value; it has none"
         text = self.value.strip() if isinstance(self.value, str) else ""
-        # shown without quotes
+        # a number is shown without quotes
         is_number = bool(text) and len(text) < 80 and is_number_text(text)
-        return (
-            f"{place} {self.rule}; it is"
-            f" {text if is_number else _checks.show(self.value)}{self.hint}"
-        )
+        shown = text if is_number else _checks.show(self.value)
+        return f"{self.rule}; it is {shown}{self.hint}"
+
+    def to_error(self, source: str = "", *, has_count: bool = True) -> ArgumentError:
+        """Return the error of the first row, of a table where ``source`` names one.
+
+        ``has_count``: whether it says how many rows break the rule.
+        """
+        place = f"{source}: {self.place()}" if source else self.place()
+        others = ""
+        if has_count and len(self.rows) > 1:
+            others = f" ({len(self.rows)} such rows in all)"
+        return ArgumentError(place, f"{self.problem()}{others}")
 
 
 def as_objects(items: Sequence[Any]) -> Column:
@@ -100,24 +116,23 @@ def find_fault(
     rows = np.flatnonzero(np.any(list(rules.values()), axis=0))
     if not rows.size:
         return None
-    rule = next(rule for rule, is_broken in rules.items() if is_broken[rows[0]])
-    value = (
-        raw[rows[0]].item() if isinstance(raw[rows[0]], np.generic) else raw[rows[0]]
-    )
-    hint = ""
+    first = rows[0]
+    rule = next(rule for rule, is_broken in rules.items() if is_broken[first])
+    value = raw[first].item() if isinstance(raw[first], np.generic) else raw[first]
+    return Fault(label, rows, rule, value, _suggest_value(value, label, has_names))
+
+
+def _suggest_value(value: Any, label: str, has_names: bool) -> str:
+    """Return a hint for the value that breaks a rule, in words; empty without one."""
     if isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value):
-        hint = " (write a decimal point, not a comma)"
-    elif label.endswith("action") and _parse_number(value) % 1 > 0:
-        # nan where it is no number
-        hint = " (call the column of a continuous task's commands action_0)"
-    elif (
-        label in MOVE
-        and isinstance(value, str)
-        and value.strip()[:1].isalpha()
-        and not has_names
-    ):
-        hint = " (names take a simulator that has them: simulator=, --simulator)"
-    return Fault(label, rows, rule, value, hint)
+        return " (write a decimal point, not a comma)"
+    # nan, which is not above 0, where it is no number
+    if label.endswith("action") and _parse_number(value) % 1 > 0:
+        return " (call the column of a continuous task's commands action_0)"
+    is_word = isinstance(value, str) and value.strip()[:1].isalpha()
+    if label in MOVE and is_word and not has_names:
+        return " (names take a simulator that has them: simulator=, --simulator)"
+    return ""
 
 
 def to_numbers(raw: Column) -> Column:
@@ -125,11 +140,10 @@ def to_numbers(raw: Column) -> Column:
     if raw.dtype.kind in "iuf":
         return raw
     numbers = np.array([_parse_number(item) for item in raw.tolist()])
-    return (
-        numbers.astype(np.float64)
-        if numbers.dtype.hasobject or not numbers.size
-        else numbers
-    )
+    # integers beyond 64 bits are objects
+    if numbers.dtype.hasobject or not numbers.size:
+        return numbers.astype(np.float64)
+    return numbers
 
 
 def _parse_number(item: Any) -> int | float:
@@ -138,16 +152,18 @@ def _parse_number(item: Any) -> int | float:
     An int stays one, since a float does not hold all from 2**53 on.
     """
     item = item.item() if isinstance(item, np.generic) else item
-    if not isinstance(item, str):
-        return (
-            item
-            if isinstance(item, int | float) and not isinstance(item, bool)
-            else math.nan
-        )
+    if isinstance(item, str):
+        return _parse_text(item)
+    is_number = isinstance(item, int | float) and not isinstance(item, bool)
+    return item if is_number else math.nan
+
+
+def _parse_text(text: str) -> int | float:
+    """Return the number that a text writes, or nan."""
+    if "_" in text:  # which Python's own literals may have
+        return math.nan
     try:
-        return (
-            math.nan if "_" in item else int(item) if item.isdecimal() else float(item)
-        )
+        return int(text) if text.isdecimal() else float(text)
     except ValueError:
         return math.nan
 
@@ -165,36 +181,28 @@ def check_array(value: object, label: str) -> Column:
     if array.ndim != 1:
         raise ArgumentError(label, f"must have 1 dimension; it has shape {array.shape}")
     if kind == "integers" and array.size and array.dtype.kind not in "iuf":
-        texts = (
-            " (numbers written as text? .astype(int))"
-            if array.dtype.kind in "UO"
-            else ""
-        )
+        texts = ""
+        if array.dtype.kind in "UO":
+            texts = " (numbers written as text? .astype(int))"
         raise ArgumentError(label, f"must hold integers; it holds {array.dtype}{texts}")
     values, fault = check_column(array, label)
     if fault is not None:
-        raise ValueError(fault.describe())
+        raise fault.to_error(has_count=False)
     return values
 
 
 def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]:
     """Return the values of a table's columns; names and episodes may be texts.
 
-    Raises a ValueError for the first fault.
+    Raises an ArgumentError for the first fault.
     """
     values = {}
     for label, raw in columns.items():
-        values[label], fault = check_column(
-            raw, label, names=() if label in MOVE else None
-        )
+        names = () if label in MOVE else None
+        values[label], fault = check_column(raw, label, names=names)
         if fault is not None:
-            raise ValueError(f"{source}: {fault.describe()}{count_others(fault)}")
+            raise fault.to_error(source)
     return values
-
-
-def count_others(fault: Fault) -> str:
-    """Return how many rows break the rule, in words, where more than one does."""
-    return f" ({len(fault.rows)} such rows in all)" if len(fault.rows) > 1 else ""
 
 
 def check_column(
@@ -207,27 +215,33 @@ def check_column(
     which stay, as the texts of episodes do; None: none.
     """
     kind = KINDS.get(label, "numbers")
-    raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
+    if raw.dtype.kind in "Mm":  # dates are no numbers
+        raw = raw.astype(str)
     # truth values are texts, as in CSV
     if kind != "booleans" and raw.dtype.kind in "bO":
-        raw = as_objects(
-            [
-                str(item) if isinstance(item, bool | np.bool_) else item
-                for item in raw.tolist()
-            ]
-        )
+        raw = as_objects([_flag_as_text(item) for item in raw.tolist()])
     names = () if label == "episode" else names
-    if names is not None and raw.dtype.hasobject:
-        first = next((item for item in raw.tolist() if not is_missing(item)), None)
-        if isinstance(first, tuple) or (
-            isinstance(first, str) and not is_number_text(first)
-        ):
-            return _match_names(raw, label, names)
+    if names is not None and _holds_names(raw):
+        return _match_names(raw, label, names)
     if kind == "integers":
         return _check_integers(raw, label, high)
-    return (
-        _check_flags(raw, label) if kind == "booleans" else _check_numbers(raw, label)
-    )
+    if kind == "booleans":
+        return _check_flags(raw, label)
+    return _check_numbers(raw, label)
+
+
+def _flag_as_text(item: Any) -> Any:
+    """Return a truth value as a text, anything else as it is."""
+    return str(item) if isinstance(item, bool | np.bool_) else item
+
+
+def _holds_names(raw: Column) -> bool:
+    """Say whether the first value of a column that is not missing is a name."""
+    if not raw.dtype.hasobject:
+        return False
+    first = next((item for item in raw.tolist() if not is_missing(item)), None)
+    is_text_name = isinstance(first, str) and not is_number_text(first)
+    return isinstance(first, tuple) or is_text_name
 
 
 def _check_integers(
@@ -243,19 +257,16 @@ def _check_integers(
         odd = ~((np.abs(numbers) <= 2.0**53) & (numbers == np.floor(numbers)))
     is_low = numbers < low
     is_high = numbers >= high
-    limit = (
-        f"must be below 2**{high.bit_length() - 1}"
-        if high >= 2**53
-        else f"must be in {low}..{high - 1}"
-    )
+    limit = f"must be in {low}..{high - 1}"
+    if high >= 2**53:
+        limit = f"must be below 2**{high.bit_length() - 1}"
     rules = {
         "must be an integer": odd,
         f"must be at least {low}": is_low,
         limit: is_high,
     }
-    return np.where(odd | is_low | is_high, 0, numbers).astype(np.int64), find_fault(
-        label, raw, rules
-    )
+    values = np.where(odd | is_low | is_high, 0, numbers).astype(np.int64)
+    return values, find_fault(label, raw, rules)
 
 
 def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
@@ -266,9 +277,8 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     if is_good.all():
         return numbers, None
     if label == "reward":
-        is_good |= np.array(
-            [is_missing(value) or value == "nan" for value in raw.tolist()]
-        )
+        is_absent = [is_missing(value) or value == "nan" for value in raw.tolist()]
+        is_good |= np.array(is_absent)
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
     return numbers, find_fault(label, raw, {rule: ~is_good})
 
@@ -295,9 +305,8 @@ def _match_names(
     if not names:
         return raw, find_fault(label, raw, {"must have a value": missing})
     known = numbers_of(names)
-    numbers = np.array(
-        [known.get(str(item), -1) for item in raw.tolist()], dtype=np.int64
-    )
+    found = [known.get(str(item), -1) for item in raw.tolist()]
+    numbers = np.array(found, dtype=np.int64)
     rules = {
         "must have a value": missing,
         "must be one of the simulator's names": numbers < 0,
@@ -309,7 +318,7 @@ def _match_names(
 
 
 def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
-    """Return the first row in which an episode begins again, and the words for it.
+    """Return the first row in which an episode begins again, and the broken rule.
 
     ``rows``: where episodes of these ``names`` begin.
     """
@@ -318,8 +327,10 @@ def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
         return None
     k = int(np.setdiff1d(np.arange(len(names)), index)[0])
     name = names[k].item() if isinstance(names[k], np.generic) else names[k]
-    rule = "episode must keep the rows of an episode together"
-    return int(rows[k]), f"{rule}; {_checks.show(name)} begins again in row {rows[k]}"
+    return int(rows[k]), (
+        f"must keep the rows of an episode together; {_checks.show(name)} begins again"
+        f" in row {rows[k]}"
+    )
 
 
 def find_order_faults(
@@ -347,35 +358,50 @@ def find_order_faults(
     show : callable
         Returns a state as errors print it.
     """
-    faults = []
-    if "timestep" in columns:
-        expected = np.where(is_first, 0, before["timestep"] + 1)
-        jumps = (is_first | follows) & (columns["timestep"] != expected)
-        rule = (
-            f"must be {expected[jumps.argmax()]} (steps of an episode in order from 0)"
-        )
-        faults.append(find_fault("timestep", columns["timestep"], {rule: jumps}))
-    rows = np.flatnonzero(follows & differs(before["next_state"], columns["state"]))
-    if rows.size:
-        state, next_state = (
-            show(column[rows[0]]) for column in (columns["state"], before["next_state"])
-        )
-        rule = f"must be the state of the next row of its episode, which is {state}"
-        rule += " (or one of the two names is misspelt)" * isinstance(state, str)
-        faults.append(Fault("next_state", rows, rule, next_state, shift=-1))
+    faults = [
+        _find_timestep_fault(columns, before, is_first, follows),
+        _find_chain_fault(columns, before, follows, differs, show),
+    ]
+    rule = "must be False: its episode continues in the next row"
     for label in ("terminated", "truncated"):
-        rows = np.flatnonzero(follows & before[label]) if label in columns else rows[:0]
-        if rows.size:
-            faults.append(
-                Fault(
-                    label,
-                    rows,
-                    "must be False: its episode continues in the next row",
-                    True,
-                    shift=-1,
-                )
-            )
-    return [fault for fault in faults if fault is not None]
+        if label in columns:
+            rows = np.flatnonzero(follows & before[label])
+            faults.append(Fault(label, rows, rule, True, shift=-1))
+    return [fault for fault in faults if fault is not None and fault.rows.size]
+
+
+def _find_timestep_fault(
+    columns: Mapping[str, Any],
+    before: Mapping[str, Any],
+    is_first: BoolArray,
+    follows: BoolArray,
+) -> Fault | None:
+    """Return the fault of timesteps that do not count 0, 1, 2, ... in their episode."""
+    if "timestep" not in columns:
+        return None
+    expected = np.where(is_first, 0, before["timestep"] + 1)
+    jumps = (is_first | follows) & (columns["timestep"] != expected)
+    rule = f"must be {expected[jumps.argmax()]} (steps of an episode in order from 0)"
+    return find_fault("timestep", columns["timestep"], {rule: jumps})
+
+
+def _find_chain_fault(
+    columns: Mapping[str, Any],
+    before: Mapping[str, Any],
+    follows: BoolArray,
+    differs: Callable[[Any, Any], Any],
+    show: Callable[[Any], Any],
+) -> Fault | None:
+    """Return the fault of next states that are not the state of the next row."""
+    rows = np.flatnonzero(follows & differs(before["next_state"], columns["state"]))
+    if not rows.size:
+        return None
+    state = show(columns["state"][rows[0]])
+    next_state = show(before["next_state"][rows[0]])
+    rule = f"must be the state of the next row of its episode, which is {state}"
+    if isinstance(state, str):
+        rule += " (or one of the two names is misspelt)"
+    return Fault("next_state", rows, rule, next_state, shift=-1)
 
 
 # ---- labels of tables
@@ -393,9 +419,9 @@ def require_columns(
     if set(required) <= set(given):
         return
     shown = _checks.escape_controls(", ".join(given[:1000])[:300]) or "none"
-    hint = suggest_columns(
-        required, given
-    ) or f" (rename the columns that hold them{way})" * (len(given) >= len(required))
+    hint = suggest_columns(required, given)
+    if not hint and len(given) >= len(required):
+        hint = f" (rename the columns that hold them{way})"
     raise ArgumentError(
         name, f"must have the columns {', '.join(required)}; it has {shown}{hint}"
     )
@@ -406,11 +432,9 @@ def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
 
     Empty where that cannot be said.
     """
+    first = labels[0] if labels else ""
     for mark, word in SEPARATORS.items():
-        if any(
-            mark in label and set(_plain(label.split(mark))) & set(required)
-            for label in labels[:1]
-        ):
+        if mark in first and set(_plain(first.split(mark))) & set(required):
             return f": its fields must be separated by commas; they are by {word}"
     written = {
         label: column
@@ -437,10 +461,10 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> No
         return
     named = [
         _checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8)
-        for label in unknown[:N_SHOWN]
+        for label in unknown[:MAX_SHOWN_COLUMNS]
     ]
-    if len(unknown) > N_SHOWN:
-        named.append(f"and {len(unknown) - N_SHOWN} more")
+    if len(unknown) > MAX_SHOWN_COLUMNS:
+        named.append(f"and {len(unknown) - MAX_SHOWN_COLUMNS} more")
     _checks.warn(
         f"columns of {name!r} that a log does not use are left out: {', '.join(named)}",
         DataWarning,
@@ -453,10 +477,6 @@ def suggest(
     """Return what was probably meant, in words; empty where nothing is near."""
     text = label if isinstance(label, str) else _checks.show(label)
     near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
-    return (
-        f" (did you mean {near[0]!r}?)"
-        if near and quotes
-        else f" (did you mean {near[0]}?)"
-        if near
-        else ""
-    )
+    if not near:
+        return ""
+    return f" (did you mean {near[0]!r}?)" if quotes else f" (did you mean {near[0]}?)"

@@ -25,10 +25,10 @@ from oee_tabular import _checks
 from oee_tabular._sparse import canonical
 from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, Column, IntArray
+from oee_tabular.typing import Array, Column, Csr, IntArray
 
 COUNTED = ("count", "reward_sum", "reward_min", "reward_max", "reward_count")
-N_APART = 2**20  # entries that are not joined yet
+MAX_UNJOINED_ENTRIES = 2**20  # of later parts, before they are joined to the first
 
 
 class RowSums(NamedTuple):
@@ -79,7 +79,8 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
     n = len(columns["state"])
     key = [np.asarray(columns.get(label, np.zeros(n)), dtype=np.int64) for label in KEY]
     if "count" in columns:
-        rows = RowSums(*(columns.get(label) for label in COUNTED))  # type: ignore[arg-type]
+        rewards = (columns.get(label) for label in COUNTED[1:])
+        rows = RowSums(columns["count"], *rewards)
     else:
         rows = RowSums.of_transitions(n, columns.get("reward"))
     # by hash, in a third of the time of a sort
@@ -88,14 +89,12 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
     row[entry] = np.arange(n)  # one that has the key
     sums = np.zeros((len(COUNTED), len(different)))
     sums[2:4] = np.nan
-    for total, add, values in zip(
-        sums, (np.add, np.add, np.fmin, np.fmax, np.add), rows, strict=True
-    ):
-        if values is not None:
-            add.at(total, entry, values)
-    return dict(
-        zip((*KEY, *COUNTED), [*(part[row] for part in key), *sums], strict=True)
-    )
+    operations = (np.add, np.add, np.fmin, np.fmax, np.add)
+    for total, operation, column in zip(sums, operations, rows, strict=True):
+        if column is not None:
+            operation.at(total, entry, column)
+    values = [*(part[row] for part in key), *sums]
+    return dict(zip((*KEY, *COUNTED), values, strict=True))
 
 
 def _encode(key: list[IntArray]) -> IntArray:
@@ -107,9 +106,8 @@ def _encode(key: list[IntArray]) -> IntArray:
     size = 1
     for part in key:
         if size * (int(part.max()) + 1) >= 2**63:
-            code, part = (
-                np.unique(numbers, return_inverse=True)[1] for numbers in (code, part)
-            )
+            code = np.unique(code, return_inverse=True)[1]
+            part = np.unique(part, return_inverse=True)[1]
             size = int(code.max()) + 1
         n_values = int(part.max()) + 1
         code = code * n_values + part
@@ -125,22 +123,20 @@ def add_sums(parts: list[dict[str, Column]], columns: Mapping[str, Column]) -> N
     """
     if len(columns["state"]):
         parts.append(sum_rows(columns))
-        if sum(len(part["count"]) for part in parts[1:]) > max(
-            len(parts[0]["count"]), N_APART
-        ):
+        n_later = sum(len(part["count"]) for part in parts[1:])
+        if n_later > max(len(parts[0]["count"]), MAX_UNJOINED_ENTRIES):
             parts[:] = [join_sums(parts)]
 
 
 def join_sums(parts: Sequence[Mapping[str, Column]]) -> dict[str, Column]:
     """Return the sums of all parts, added in their order."""
-    return sum_rows(
-        {label: np.concatenate([part[label] for part in parts]) for label in parts[0]}
-    )
+    columns = {}
+    for label in parts[0]:
+        columns[label] = np.concatenate([part[label] for part in parts])
+    return sum_rows(columns)
 
 
-def counts_of(
-    log: Any, weights: Array, n_states: int, n_actions: int
-) -> sparse.csr_array:
+def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> Csr:
     """Sum the weights of the rows of each (s, a, s') to a csr of shape (S*A, S).
 
     Raises an ArgumentError for numbers out of range.

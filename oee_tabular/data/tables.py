@@ -34,17 +34,17 @@ from oee_tabular.mdp.naming import is_number_text
 from oee_tabular.typing import Column, IntArray
 
 # rows of a piece
-N_PARQUET = 2**18
-N_CSV = 2**17
-# bytes of a CSV file, which Python reads in the time in which pandas is imported
-SMALL = 2**21
-MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
+N_PARQUET_ROWS = 2**18
+N_CSV_ROWS = 2**17
+# The size of a CSV file that Python reads in the time in which pandas is imported.
+MAX_SMALL_BYTES = 2**21
+MAX_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 # bytes that tell nothing of the number of fields
-OTHERS = bytes(set(range(256)) - set(b',\n"\0'))
+OTHER_BYTES = bytes(set(range(256)) - set(b',\n"\0'))
 DIGEST_KEY = b"oee_tabular_digest"
 DIGEST_MARK = b"oee_tabular_sha256:"
-EMPTY = b"0" * 64
-TAIL = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
+EMPTY_DIGEST = b"0" * 64
+TAIL_BYTES = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
 
 
 class LogFile(NamedTuple):
@@ -64,12 +64,12 @@ class Piece(NamedTuple):
     """Hold adjacent rows: raw values by label, and the rows' numbers in the file.
 
     ``lost``: the lines of a CSV file that have another number of fields than its
-    header, in words, by the number of the row.
+    header, by the number of the row: the place and the broken rule in words.
     """
 
     columns: dict[str, Column]
     rows: IntArray
-    lost: Mapping[int, str]
+    lost: Mapping[int, tuple[str, str]]
 
 
 @dataclass
@@ -94,39 +94,26 @@ def open_table(file: LogFile, form: Any) -> Table:
     if is_parquet:
         check_digest(file.path)
     labels = read_labels(file.path)
-    if not is_parquet and len(labels) > MOST_COLUMNS:
+    if not is_parquet and len(labels) > MAX_COLUMNS:
         raise ArgumentError(
             f"{file.path!r}",
-            f"must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep"
+            f"must have at most {MAX_COLUMNS} columns; it has {len(labels)} (keep"
             " those that a log has)",
         )
-    first_of: dict[str, str] = {}
-    for label in labels:  # also for who does not tell capitals, as DuckDB does not
-        lower = label.lower()
-        if form.is_known(lower) and lower in first_of:
-            twice = (
-                f"{label!r} twice"
-                if first_of[lower] == label
-                else f"{first_of[lower]!r} and {label!r}"
-            )
-            raise ArgumentError(
-                f"{file.path!r}", f"must have columns that differ; it has {twice}"
-            )
-        first_of.setdefault(lower, label)
-    fixed = {
-        label: float(value) if is_number_text(value) else value
-        for label, value in file.fixed
-    }
+    _require_distinct_labels(file.path, labels, form)
+    fixed: dict[str, Any] = dict(file.fixed)
+    for label, value in file.fixed:
+        if is_number_text(value):
+            fixed[label] = float(value)
     every = list(dict.fromkeys([*labels, *fixed]))
     form.require(every, file.path)
     known = [label for label in every if form.is_known(label)]
     read = _read_parquet if is_parquet else _read_csv
+    own = [label for label in known if label in labels]
 
     def pieces() -> Iterator[Piece]:
         """Yield the pieces of the file with the columns that its folders name."""
-        for piece in read(
-            file.path, labels, [label for label in known if label in labels]
-        ):
+        for piece in read(file.path, labels, own):
             folders = {
                 label: np.full(len(piece.rows), fixed[label])
                 for label in known
@@ -137,13 +124,30 @@ def open_table(file: LogFile, form: Any) -> Table:
     return Table(labels, known, pieces())
 
 
+def _require_distinct_labels(path: str, labels: list[str], form: Any) -> None:
+    """Raise an ArgumentError where a known column stands twice, in capitals or not.
+
+    DuckDB does not tell capitals.
+    """
+    first_of: dict[str, str] = {}
+    for label in labels:
+        lower = label.lower()
+        if form.is_known(lower) and lower in first_of:
+            first = first_of[lower]
+            twice = f"{first!r} and {label!r}"
+            if first == label:
+                twice = f"{label!r} twice"
+            raise ArgumentError(
+                f"{path!r}", f"must have columns that differ; it has {twice}"
+            )
+        first_of.setdefault(lower, label)
+
+
 def read_labels(path: str) -> list[str]:
     """Return the labels of a table's columns; ArgumentError for another file."""
-    return (
-        _parquet_labels(path)
-        if path.lower().endswith(".parquet")
-        else _csv_header(_files.local(path))[0]
-    )
+    if path.lower().endswith(".parquet"):
+        return _parquet_labels(path)
+    return _csv_header(_files.local(path))[0]
 
 
 # ---- parquet
@@ -168,15 +172,18 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
     }
     try:
         with duckdb.connect(":memory:", config=settings) as connection:
-            connection.execute(
-                f"SET allowed_paths = [{quote_text(name)}, {quote_text(pattern)}]"
-            )
+            allowed = f"[{quote_text(name)}, {quote_text(pattern)}]"
+            connection.execute(f"SET allowed_paths = {allowed}")
             connection.execute("SET enable_progress_bar = false")
             connection.execute("SET enable_external_access = false")
             connection.execute("SET lock_configuration = true")
-            yield lambda query: connection.execute(
-                query, {"path": pattern} if "$path" in query else {}
-            )
+
+            def run(query: str) -> Any:
+                """Run a query in which ``$path`` is the file."""
+                parameters = {"path": pattern} if "$path" in query else {}
+                return connection.execute(query, parameters)
+
+            yield run
     except duckdb.OutOfMemoryException:
         raise MemoryError(f"{path!r} has more rows than memory holds") from None
     except duckdb.Error as error:
@@ -220,22 +227,16 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
     key = [label for label in (*KEY, "truncated") if label in labels]
     others = [label for label in labels if label not in key]
-    parts = [
-        *key,
-        "count(*) AS count",
-        *["coalesce(sum(reward), 0) AS reward_sum"] * ("reward" in labels),
-    ]
-    parts += [
-        f"{how}({label}) AS {label}_{how}"
-        for label in others
-        for how in ("min", "max", "count")
-    ]
+    parts = [*key, "count(*) AS count"]
+    if "reward" in labels:
+        parts.append("coalesce(sum(reward), 0) AS reward_sum")
+    for label in others:
+        parts += [f"{how}({label}) AS {label}_{how}" for how in ("min", "max", "count")]
+    selected = ", ".join(parts)
+    query = f"SELECT {selected} FROM read_parquet($path) GROUP BY {', '.join(key)}"
     with open_duckdb(path) as run:
         try:
-            groups = run(
-                f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY"
-                f" {', '.join(key)}"
-            ).fetchnumpy()
+            groups = run(query).fetchnumpy()
         except (duckdb.ConversionException, duckdb.BinderException):
             return None
     return {label: _fill_missing(column) for label, column in groups.items()}
@@ -250,15 +251,12 @@ def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[P
     )
     n_rows = count_parquet_rows(path)
     with open_duckdb(path) as run:
-        for start in range(0, n_rows, N_PARQUET):
-            stop = min(start + N_PARQUET, n_rows)
+        for start in range(0, n_rows, N_PARQUET_ROWS):
+            stop = min(start + N_PARQUET_ROWS, n_rows)
             which = f"file_row_number >= {start} AND file_row_number < {stop}"
             piece = run(f"SELECT {columns} FROM {source} WHERE {which}").fetchnumpy()
-            yield Piece(
-                {label: _fill_missing(column) for label, column in piece.items()},
-                np.arange(start, stop),
-                {},
-            )
+            values = {label: _fill_missing(column) for label, column in piece.items()}
+            yield Piece(values, np.arange(start, stop), {})
 
 
 def _fill_missing(column: Any) -> Column:
@@ -280,15 +278,16 @@ def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
     import duckdb
     import pandas as pd
 
-    with duckdb.connect(
-        ":memory:", config={"threads": 1, "autoload_known_extensions": False}
-    ) as connection:
+    target = quote_text(os.path.abspath(path))
+    mark = (DIGEST_MARK + EMPTY_DIGEST).decode()
+    metadata = f"{{{DIGEST_KEY.decode()}: '{mark}'}}"
+    settings: dict[str, Any] = {"threads": 1, "autoload_known_extensions": False}
+    with duckdb.connect(":memory:", config=settings) as connection:
         connection.register("log_in_memory", pd.DataFrame(dict(columns)))
         try:
             connection.execute(
-                f"COPY log_in_memory TO {quote_text(os.path.abspath(path))} (FORMAT"
-                f" parquet, USE_TMP_FILE false, KV_METADATA {{{DIGEST_KEY.decode()}:"
-                f" '{(DIGEST_MARK + EMPTY).decode()}'}})"
+                f"COPY log_in_memory TO {target} (FORMAT parquet, USE_TMP_FILE false,"
+                f" KV_METADATA {metadata})"
             )
         except duckdb.IOException as error:  # a full disk, as the system's own error
             code = re.search(r'errno"?:"?(\d+)', str(error))
@@ -319,16 +318,16 @@ def _read_digest(path: str) -> tuple[bytes, bytes, int]:
     files both are empty.
     """
     with open(path, "rb") as handle:
-        n_before = max(os.fstat(handle.fileno()).st_size - TAIL, 0)
+        n_before = max(os.fstat(handle.fileno()).st_size - TAIL_BYTES, 0)
         handle.seek(n_before)
         start, mark, rest = handle.read().rpartition(DIGEST_MARK)
         if not mark:  # another program's, or a file of ours whose mark is damaged
             return b"", DIGEST_KEY if DIGEST_KEY in rest else b"", -1
         digest = hashlib.sha256()
         handle.seek(0)
-        for k in range(0, n_before, TAIL):
-            digest.update(handle.read(min(TAIL, n_before - k)))
-        digest.update(start + mark + EMPTY + rest[64:])
+        for k in range(0, n_before, TAIL_BYTES):
+            digest.update(handle.read(min(TAIL_BYTES, n_before - k)))
+        digest.update(start + mark + EMPTY_DIGEST + rest[64:])
     return rest[:64], digest.hexdigest().encode(), n_before + len(start + mark)
 
 
@@ -343,11 +342,9 @@ def quote_text(text: str) -> str:
 def _open_csv(path: str, encoding: str | None = None) -> Any:
     """Open a file, or what is compressed in it, as bytes or as text of an encoding."""
     opener: Any = gzip.open if path.lower().endswith(".gz") else open
-    return (
-        opener(path, "rb")
-        if encoding is None
-        else opener(path, "rt", encoding=encoding, newline="")
-    )
+    if encoding is None:
+        return opener(path, "rb")
+    return opener(path, "rt", encoding=encoding, newline="")
 
 
 @contextmanager
@@ -382,13 +379,11 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
             raise ValueError(
                 "it is UTF-16 of the order that few programs write (save it as UTF-8)"
             )
-    encoding = (
-        "utf-16"
-        if mark[:2] == b"\xff\xfe"
-        else "utf-8-sig"
-        if mark == b"\xef\xbb\xbf"
-        else "utf-8"
-    )
+    encoding = "utf-8"
+    if mark[:2] == b"\xff\xfe":
+        encoding = "utf-16"
+    elif mark == b"\xef\xbb\xbf":
+        encoding = "utf-8-sig"
     lines = (fields for _, fields in _csv_lines(path, encoding))
     return next(lines, []), next(lines, []), encoding
 
@@ -410,7 +405,9 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
     Of a small or an odd file they are the fields, read by Python.
     """
     _, first, encoding = _csv_header(path)
-    if os.path.getsize(path) < SMALL or _has_odd_lines(path, len(labels), encoding):
+    if os.path.getsize(path) < MAX_SMALL_BYTES or _has_odd_lines(
+        path, len(labels), encoding
+    ):
         yield from _read_lines(path, labels, chosen, encoding)
         return
     places = {label: labels.index(label) for label in chosen}
@@ -425,11 +422,12 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
         "header": 0,
         "dtype": texts,
         "encoding": encoding,
+        "chunksize": N_CSV_ROWS,
+        "keep_default_na": False,
+        "na_values": [""],
     }
     with _csv_errors(path), _open_csv(path) as handle:
-        for frame in _call_pandas(
-            handle, chunksize=N_CSV, keep_default_na=False, na_values=[""], **options
-        ):
+        for frame in _call_pandas(handle, **options):
             series = {label: frame[k] for label, k in places.items()}
             columns = {
                 label: one.to_numpy(object if one.dtype == "str" else None)
@@ -446,9 +444,8 @@ def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
     line = b"," * (n - 1) + b"\n"
     with _csv_errors(path), _open_csv(path) as handle:
         while block := handle.read(2**20) + handle.readline():
-            marks = (block if block.endswith(b"\n") else block + b"\n").translate(
-                None, OTHERS
-            )
+            whole = block if block.endswith(b"\n") else block + b"\n"
+            marks = whole.translate(None, OTHER_BYTES)
             if marks != line * (len(marks) // len(line)):
                 return any(len(fields) != n for _, fields in _csv_lines(path, encoding))
     return False
@@ -461,12 +458,12 @@ def _read_lines(
     n = len(labels)
     places = {label: labels.index(label) for label in chosen}
     lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
-    while some := list(itertools.islice(lines, N_CSV)):
+    while some := list(itertools.islice(lines, N_CSV_ROWS)):
         good = [(row, fields) for row, (_, fields) in some if len(fields) == n]
         lost = {
             row: (
-                f"row {row} (line {line}) must have {n} fields, as the header has; it"
-                f" has {len(fields)}"
+                f"row {row} (line {line})",
+                f"must have {n} fields, as the header has; it has {len(fields)}",
             )
             for row, (line, fields) in some
             if len(fields) != n

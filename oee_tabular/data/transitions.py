@@ -7,24 +7,32 @@ the recording only, and the task would have continued.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Never, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
-from oee_tabular.data.rules import MOVE, as_objects, check_array
+from oee_tabular.data.rules import (
+    COLUMNS,
+    MOVE,
+    ColumnLike,
+    as_objects,
+    check_array,
+    suggest,
+)
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, name_text, renumber
-from oee_tabular.typing import Column, IntArray
+from oee_tabular.mdp.naming import Name, NamesLike, name_text, renumber
+from oee_tabular.typing import Column, Csr, FrameLike, IntArray, RealArrayLike
+
+if TYPE_CHECKING:
+    from oee_tabular.data.opening import open_log
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -95,8 +103,11 @@ class Transitions(LogColumns):
 
     FILES: ClassVar[files.Format] = files.Format()
     ALLOWS_MISSING_REWARDS: ClassVar[bool] = True
-    # counts files of any size; ``data``'s own, which knows counts and logs
-    open: ClassVar[Callable[..., Any]]
+    # ``data`` sets it, since what counts files of any size knows logs
+    if TYPE_CHECKING:
+        open = staticmethod(open_log)
+    else:
+        open: ClassVar[Callable[..., Any]]
 
     state: IntArray
     action: IntArray
@@ -106,18 +117,18 @@ class Transitions(LogColumns):
 
     def __init__(
         self,
-        state: ArrayLike,
-        action: ArrayLike | None = None,
-        next_state: ArrayLike | None = None,
-        reward: ArrayLike | None = None,
+        state: ColumnLike,
+        action: ColumnLike | None = None,
+        next_state: ColumnLike | None = None,
+        reward: RealArrayLike | None = None,
         *,
-        terminated: ArrayLike | None = None,
-        episode: ArrayLike | None = None,
-        timestep: ArrayLike | None = None,
-        behavior_probability: ArrayLike | None = None,
-        truncated: ArrayLike | None = None,
-        state_names: object = None,
-        action_names: object = None,
+        terminated: RealArrayLike | None = None,
+        episode: ColumnLike | None = None,
+        timestep: RealArrayLike | None = None,
+        behavior_probability: RealArrayLike | None = None,
+        truncated: RealArrayLike | None = None,
+        state_names: NamesLike | None = None,
+        action_names: NamesLike | None = None,
     ) -> None:
         if action is None or next_state is None:
             lacking = "action" if action is None else "next_state"
@@ -165,7 +176,7 @@ class Transitions(LogColumns):
 
     @staticmethod
     def _moves(
-        state: ArrayLike, action: ArrayLike, next_state: ArrayLike
+        state: ColumnLike, action: ColumnLike, next_state: ColumnLike
     ) -> dict[str, Column | None]:
         """Check the three columns of numbers of a transition."""
         numbers = {"state": state, "action": action, "next_state": next_state}
@@ -173,11 +184,9 @@ class Transitions(LogColumns):
 
     def _show(self, state: Column) -> Any:
         """Return one row's state as errors show it, by its name if it has one."""
-        return (
-            state.tolist()
-            if self.state_names is None
-            else name_text(self.state_names, state)
-        )
+        if self.state_names is None:
+            return state.tolist()
+        return name_text(self.state_names, state)
 
     def columns(self) -> dict[str, Column]:
         """Return the columns that the log has, in the order of the file formats.
@@ -195,10 +204,19 @@ class Transitions(LogColumns):
     @classmethod
     def from_frame(
         cls,
-        frame: object,
+        frame: FrameLike,
         *,
         simulator: FiniteMDP | None = None,
-        **column_names: object,
+        state: str | Sequence[str] | None = None,
+        action: str | Sequence[str] | None = None,
+        next_state: str | Sequence[str] | None = None,
+        reward: str | None = None,
+        terminated: str | None = None,
+        truncated: str | None = None,
+        episode: str | None = None,
+        timestep: str | None = None,
+        behavior_probability: str | None = None,
+        **others: Never,
     ) -> Self:
         """Make a log of a data frame of pandas, polars, arrow, or another library.
 
@@ -230,6 +248,8 @@ class Transitions(LogColumns):
             The frame's name of the column of times.
         behavior_probability : str, optional
             The frame's name of the column of the recorded actions' probabilities.
+        **others : Never
+            Any other keyword is refused, with the column that it resembles.
 
         Returns
         -------
@@ -254,6 +274,23 @@ class Transitions(LogColumns):
         >>> log.state_names, log.next_state.tolist()
         (('hall', 'dock'), [1, 0])
         """
+        for keyword in others:
+            raise ArgumentError(
+                "column_names",
+                f"must be of {', '.join(COLUMNS)}; got"
+                f" {keyword!r:.80}{suggest(keyword, COLUMNS)}",
+            )
+        column_names = {
+            "state": state,
+            "action": action,
+            "next_state": next_state,
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+            "episode": episode,
+            "timestep": timestep,
+            "behavior_probability": behavior_probability,
+        }
         columns = frame_columns(frame, column_names)
         try:
             log = cls(**columns)
@@ -266,7 +303,7 @@ class Transitions(LogColumns):
 
     @classmethod
     def from_episodes(
-        cls, episodes: object, *, simulator: FiniteMDP | None = None
+        cls, episodes: Sequence[Sequence[Any]], *, simulator: FiniteMDP | None = None
     ) -> Self:
         """Make a log of episodes that are lists of (state, action, reward) steps.
 
@@ -356,7 +393,7 @@ class Transitions(LogColumns):
 
     def counts(
         self, n_states: int, n_actions: int, *, discount: float | None = None
-    ) -> sparse.csr_array:
+    ) -> Csr:
         """Count the transitions of each (s, a, s').
 
         Parameters
@@ -395,9 +432,8 @@ class Transitions(LogColumns):
                     "must have timesteps (or episodes) to be counted with a discount;"
                     " it has none",
                 )
-            weights = _checks.number_in(
-                discount, "discount", 0.0, 1.0
-            ) ** self.timestep.astype(np.float64)
+            gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+            weights = gamma ** self.timestep.astype(np.float64)
         return counts_of(self, weights, n_states, n_actions)
 
     def moves(self) -> RowSums:
@@ -443,6 +479,7 @@ class Transitions(LogColumns):
         """Return the part of the summary that one line prints."""
         starts = self.episode_starts
         lengths = None if starts is None else np.diff(starts)
+        rewards = self.reward
         return {
             "transitions": len(self),
             "episodes": None if lengths is None else len(lengths),
@@ -452,15 +489,11 @@ class Transitions(LogColumns):
             "truncated": int(self.truncated.sum()),
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "reward_min": (
-                None if self.reward is None else float(np.nanmin(self.reward))
-            ),
-            "reward_max": (
-                None if self.reward is None else float(np.nanmax(self.reward))
-            ),
-            "rewards_missing": (
-                None if self.reward is None else int(np.isnan(self.reward).sum())
-            ),
+            "reward_min": None if rewards is None else float(np.nanmin(rewards)),
+            "reward_max": None if rewards is None else float(np.nanmax(rewards)),
+            "rewards_missing": None
+            if rewards is None
+            else int(np.isnan(rewards).sum()),
             "behavior_probability": self.behavior_probability is not None,
         }
 
@@ -486,33 +519,28 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
     if facts.get("different"):
         text += f", {facts['different']} different"
     if facts.get("files"):
-        text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
+        text += f", of {_count(facts['files'], 'file')}"
     if facts["episodes"]:
-        n, shortest, longest = (
-            facts[name]
-            for name in ("episodes", "episode_length_min", "episode_length_max")
-        )
-        steps = (
-            f"{shortest} to {longest} steps"
-            if shortest < longest
-            else f"{longest} step{'s' * (longest > 1)}"
-        )
-        text += f" in {n} episode{'s' * (n > 1)} of {steps}"
+        shortest = facts["episode_length_min"]
+        longest = facts["episode_length_max"]
+        steps = _count(longest, "step")
+        if shortest < longest:
+            steps = f"{shortest} to {steps}"
+        text += f" in {_count(facts['episodes'], 'episode')} of {steps}"
     text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
     for word, mark in (("state", ";"), ("action", ",")):
         own = names.get(f"{word}_names")
-        text += (
-            f"{mark} {len(own)} named {word}s"
-            if own
-            else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
-        )
+        if own:
+            text += f"{mark} {len(own)} named {word}s"
+        else:
+            text += f"{mark} {word}s 0..{facts[f'largest_{word}']}"
     if facts["reward_min"] is not None:
-        # no -0
-        text += (
-            f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"
-        )
-        missing = facts["rewards_missing"]
-        text += f", {missing} of {facts['transitions']} missing" if missing else ""
+        # adding 0.0 makes -0.0 plain
+        least = facts["reward_min"] + 0.0
+        largest = facts["reward_max"] + 0.0
+        text += f"; rewards {least:g} to {largest:g}"
+        if facts["rewards_missing"]:
+            text += f", {facts['rewards_missing']} of {facts['transitions']} missing"
     if facts.get("behavior_probability"):
         text += "; behaviour probabilities"
     if facts.get("sampled_episodes") is not None:
@@ -523,3 +551,8 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
             f" {facts['broken_episodes'] or 0} episodes broken"
         )
     return text
+
+
+def _count(number: int, word: str) -> str:
+    """Return a number of things in words, "1 file" or "2 files"."""
+    return f"{number} {word}s" if number > 1 else f"{number} {word}"

@@ -386,7 +386,7 @@ def test_lines_with_other_fields(tmp_path, lines, words, numbers, lengths):
 @pytest.mark.parametrize("odd", [("0,0", "0,0,1,1"), ("0,0,1,1", "0,0")])
 def test_lines_whose_fields_are_as_many_on_the_average(tmp_path, monkeypatch, odd):
     """Of a file above the size that Python reads line by line."""
-    monkeypatch.setattr("oee_tabular.data.tables.SMALL", 1000)
+    monkeypatch.setattr("oee_tabular.data.tables.MAX_SMALL_BYTES", 1000)
     lines = ["state,action,next_state", *["0,0,1"] * 4000]
     lines[10], lines[20] = odd
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
