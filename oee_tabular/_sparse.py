@@ -81,7 +81,7 @@ def check_csr(matrix: Any, name: str) -> Csr:
 
 
 def _csr_of_other_format(matrix: Any, name: str) -> Csr:
-    """Return the csr of a matrix that is neither csr nor csc, if its parts are sound."""
+    """Return the csr of a sound matrix that is neither csr nor csc."""
     shape = matrix.shape
     kind = matrix.format
     try:

@@ -388,6 +388,7 @@ OTHERWISE = {
     "target": ["Reacher", "reacher_policy", "evaluate_continuous"],
     "path": ["Report.to_html"],
     "discount": ["TransitionCounts.counts"],
+    "timestep": ["Transitions.from_frame"],
     "n": ["plot_errors"],
     "lower": ["plot_intervals"],
     "upper": ["plot_intervals"],

@@ -259,6 +259,7 @@ class TransitionCounts:
         return f"TransitionCounts({self.describe()})"
 
     def _repr_html_(self) -> str:
+        """Return the summary as HTML, which notebooks show."""
         rows = [
             (name.replace("_", " "), value)
             for name, value in self.summary().items()

@@ -384,6 +384,7 @@ class Transitions(LogColumns):
         return f"Transitions({self.describe()})"
 
     def _repr_html_(self) -> str:
+        """Return the summary as HTML, which notebooks show."""
         rows = [
             (name.replace("_", " "), value)
             for name, value in self.summary().items()

@@ -230,6 +230,7 @@ class FiniteMDP:
         )
 
     def _repr_html_(self) -> str:
+        """Return the summary as HTML, which notebooks show."""
         values = self.rewards if self.reward_data is None else self.reward_data
         # adding 0.0 makes -0.0 plain
         span = f"{values.min() + 0.0:.4g} to {values.max() + 0.0:.4g}"

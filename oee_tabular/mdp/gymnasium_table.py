@@ -105,20 +105,20 @@ def build_arguments(
     for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
     their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
-    state, _, _, weight, reward, _ = outcomes
     terminal_state, terminal, twins = _terminal_states(outcomes, initial)
     n_own = len(initial)
     n_states = n_own + len(twins)
     shape = n_states * n_actions, n_states
     # outcomes of what became terminal are replaced by staying there
-    is_kept = ~np.isin(state, terminal)
+    is_kept = ~np.isin(outcomes.state, terminal)
+    weight = outcomes.weight
     rows, columns = _places(outcomes, is_kept, terminal_state, terminal, n_actions)
     stay = np.zeros(len(terminal) * n_actions)
     weights = np.concatenate([weight[is_kept], stay + 1.0])
     transitions = csr_from_entries(rows, columns, weights, shape)
     table: Csr | Array
     if rewards is None:
-        weighted = np.concatenate([(weight * reward)[is_kept], stay])
+        weighted = np.concatenate([(weight * outcomes.reward)[is_kept], stay])
         flow = csr_from_entries(rows, columns, weighted, shape)
         table = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
     else:

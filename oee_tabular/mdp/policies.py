@@ -271,11 +271,9 @@ def mix(
 
     Parameters
     ----------
-    policy_a : array_like of shape (S, A) or (T, S, A)
-        Probabilities, each row of which sums to 1; or (S,) numbers of actions where the
-        other policy is (S, A).
-    policy_b : array_like of shape (S, A) or (T, S, A)
-        The other policy, of the same shape and by the same rules.
+    policy_a, policy_b : array_like of shape (S, A) or (T, S, A)
+        Probabilities of one shape, each row of which sums to 1. One of the policies may
+        be (S,) numbers of actions where the other is (S, A).
     weight_of_a : float
         The weight of ``policy_a`` in [0, 1].
 

@@ -301,13 +301,11 @@ def test_bad_rows_are_named_and_refused_or_counted(tmp_path, name, value, rule, 
     if ending == ".csv":
         frame.to_csv(path, index=False)
     else:
-        kind = (
-            "Float64"
-            if value is None or isinstance(value, float)
-            else "uint64"
-            if value == 2**63 + 5
-            else None
-        )
+        kind = None
+        if value is None or isinstance(value, float):
+            kind = "Float64"
+        elif value == 2**63 + 5:
+            kind = "uint64"
         column = (
             frame[name].map(str)
             if isinstance(value, str)

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
+from oee_tabular.exceptions import ArgumentError
 
 
 def small_log(**changes):
@@ -116,3 +117,35 @@ def test_distinct_transitions_are_counted_whatever_the_numbers(largest, rng):
         {*zip(state.tolist(), action.tolist(), strict=True)}
     )
     assert facts["largest_state"] == max(state.max(), following.max())
+
+
+@pytest.mark.parametrize(
+    ("changes", "argument"),
+    [
+        ({"state": [0, 1, -1, 0]}, "state[2]"),
+        ({"timestep": [0, 2, 3, 0]}, "timestep[1]"),
+        ({"next_state": [2, 2, 3, 2]}, "next_state[0]"),
+        ({"terminated": [True, False, True, False]}, "terminated[0]"),
+        ({"episode": [7, 3, 7, 7]}, "episode"),
+    ],
+)
+def test_errors_carry_their_argument(changes, argument):
+    with pytest.raises(ArgumentError) as refused:
+        small_log(**changes)
+    assert refused.value.argument == argument
+    assert str(refused.value) == f"{argument} {refused.value.rule}"
+
+
+def test_errors_of_files_carry_the_file_and_the_place(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("state,action,next_state\n0,0,1\n1,x,2\n2,0\n")
+    place = f"{str(path)!r}: action[1]"
+    with pytest.raises(ArgumentError) as refused:
+        Transitions.open(path)
+    assert refused.value.argument == place
+    assert (
+        Transitions.open(path, bad_rows="drop").recording.reasons[0].startswith(place)
+    )
+    with pytest.raises(ArgumentError) as refused:
+        Transitions.load(path)
+    assert refused.value.argument == f"{str(path)!r}: row 2 (line 4)"

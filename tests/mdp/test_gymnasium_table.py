@@ -33,12 +33,10 @@ def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
     table = env.unwrapped.P
     mdp = FiniteMDP.from_gymnasium(env, discount=0.9)
     policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=len(table))
-    rows = [
-        (s, a, p, t, r, done)
-        for s in table
-        for a in table[s]
-        for p, t, r, done in table[s][a]
-    ]
+    rows = []
+    for s in table:
+        for a in table[s]:
+            rows += [(s, a, *outcome) for outcome in table[s][a]]
     s, a, p, t, r, done = (np.array(column) for column in zip(*rows, strict=True))
     values = np.zeros(len(table))
     for _ in range(400):
@@ -239,12 +237,13 @@ def test_a_toy_text_table_with_duplicates_and_ends_by_path():
     def walk(s, steps):
         if steps == 0:
             return 0.0
-        return sum(
-            policy[s, a] * p * (r + (0.0 if ended else 0.9 * walk(j, steps - 1)))
-            for a in range(2)
-            for p, j, r, ended in table[s][a]
-            if p > 0
-        )
+        value = 0.0
+        for a in range(2):
+            for p, j, r, ended in table[s][a]:
+                if p > 0:
+                    later = 0.0 if ended else 0.9 * walk(j, steps - 1)
+                    value += policy[s, a] * p * (r + later)
+        return value
 
     assert_allclose(oee.policy_value(mdp, policy, horizon=5), walk(0, 5), rtol=1e-12)
     assert_allclose(mdp.transitions.toarray().sum(axis=1), 1.0, rtol=1e-15)
