@@ -193,7 +193,7 @@ def test_policy_importance_sampling_is_equation_3_5():
 
 
 def test_each_equation_heads_one_place_of_a_short_page():
-    assert len(SOURCE.splitlines()) <= 200
+    assert len(SOURCE.splitlines()) <= 240
     heads = re.findall(r'(?:^|""")(?:# )?Eq\. (\d\.\d)', SOURCE, flags=re.MULTILINE)
     heads += re.findall(r"^\s+Eq\. (4\.1)", SOURCE, flags=re.MULTILINE)
     assert sorted(set(heads)) == sorted(EQUATIONS)
