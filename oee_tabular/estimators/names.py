@@ -8,7 +8,7 @@ import difflib
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from oee_tabular.exceptions import ArgumentError
 
@@ -162,6 +162,42 @@ ALIASES: Mapping[str, str] = {
     "gradientdice": "dualdice",
     "snis": "wis",
 }
+
+
+# what type checkers accept as the name of an estimator: the keys of NAMED and ALIASES
+EstimatorName: TypeAlias = Literal[
+    "simulator",
+    "oee",
+    "oee-product",
+    "oee-product-sn",
+    "oee-trajectory",
+    "ratio-of-ratios",
+    "model-based",
+    "is",
+    "wis",
+    "pdis",
+    "wpdis",
+    "dr",
+    "dr-beta",
+    "dr-rollouts",
+    "dr-episodes",
+    "wdr",
+    "magic",
+    "marginalized",
+    "dualdice",
+    "oracle",
+    "oracle-product",
+    "fqe",
+    "mql",
+    "dm",
+    "mle",
+    "mis",
+    "mwl",
+    "bestdice",
+    "gendice",
+    "gradientdice",
+    "snis",
+]
 
 
 def names(*, needs_target: bool = False) -> list[str]:

@@ -1,6 +1,4 @@
-"""From a problem and policies to a table, warnings in plain language, a picture, a JSON
-file and a page for people.
-"""
+"""Reports: evaluate policies, and read the result as text, table, file or page."""
 
 from __future__ import annotations
 

@@ -1,18 +1,16 @@
-"""``evaluate``: policies by estimators, with what a reader must know; ``contest``:
-which policy is best.
-"""
+"""Evaluation of policies by several estimators, and the contest between policies."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from oee_tabular import _checks, _progress
 from oee_tabular._parallel import one_thread
-from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators import Estimate, Estimator, Problem
 from oee_tabular.estimators.findings import (
     FEW_WEIGHTED,
     MADE_FROM_LOG,
@@ -20,11 +18,16 @@ from oee_tabular.estimators.findings import (
     Finding,
 )
 from oee_tabular.estimators.functions import as_estimator
-from oee_tabular.estimators.names import default_names, named_estimators
+from oee_tabular.estimators.names import (
+    EstimatorName,
+    default_names,
+    named_estimators,
+)
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
+from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import text
@@ -33,19 +36,41 @@ from oee_tabular.report.uncertainty import (
     LIKELIHOOD,
     SHARED,
     Premises,
+    Uncertainty,
     add_comparison,
     choose_interval,
     find_intervals,
 )
-from oee_tabular.typing import Array, Seed
+from oee_tabular.typing import Array, PoliciesLike, Seed
+
+# of the largest action value: a smaller loss is rounding
+OPTIMALITY_TOLERANCE = 1e-9
+MAX_FIGURES = 3  # of the worst policies, that a note gives
+
+Pair: TypeAlias = tuple[str, str]  # (policy, estimator)
+Member: TypeAlias = tuple[Finding, str, str]  # a finding, its policy, its estimator
+
+
+# what evaluates: an estimator, a class that makes one, or a function of a problem and
+# a policy
+EstimatorLike: TypeAlias = (
+    Estimator
+    | Callable[..., float | np.floating[Any] | np.integer[Any] | Estimate | Estimator]
+)
+EstimatorsLike: TypeAlias = (
+    EstimatorName
+    | EstimatorLike
+    | Sequence[EstimatorName | EstimatorLike]
+    | Mapping[str, EstimatorLike]
+)
 
 
 @one_thread
 def evaluate(
     problem: Problem,
-    policies: object,
+    policies: PoliciesLike,
     *,
-    estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None = None,
+    estimators: EstimatorsLike | None = None,
     confidence: float = 0.95,
     seed: Seed = None,
     normalized: bool = False,
@@ -53,47 +78,101 @@ def evaluate(
     facts: Mapping[str, Any] | None = None,
     guaranteed: bool = False,
     quick: bool = False,
-    **assumed: Any,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    tie: TieLike | None = None,
+    features: FeaturesLike | None = None,
 ) -> Report:
-    """Evaluate policies in the target by several estimators.
+    """Evaluate policies in the target environment, from a simulator and a log.
+
+    Each estimator gives a value of each policy: the discounted sum of rewards that the
+    policy is expected to collect in the target. The report puts an interval beside each
+    value, tests the simulator against the log, says which policy is worth most, and
+    lists in plain language what limits the answer.
 
     Parameters
     ----------
     problem : Problem
-    policies : a policy in any of its forms (``mdp.check_policy``: (S, A), (S,) actions,
-        by state, a function), a list of such, or a mapping name -> policy
-    estimators : names, estimators, or a mapping name -> estimator; None: the simulator,
-        off-environment evaluation, the model-based baseline, and importance sampling
-        where the log allows it
-    confidence : level of the intervals
-    seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy,
-        estimator) has a stream of its own
-    normalized : whether the report multiplies by (1 - discount)
-    target : the true target, where it is known (teaching, research): adds its exact
-        values and the errors
-    guaranteed : whether the intervals that hold at any sample size are computed too
-        (``interval(method="robust")``)
-    quick : whether likelihood intervals, most of the time of large problems, are left
-        out
-    assumed : what you know about the target, by the keywords lower_ratio, upper_ratio,
-        tie and features (as in ``inference.interval``): a box narrows likelihood and
-        guaranteed intervals and comparisons; a tie, or features, adds a row (oee-tied,
-        oee-features) with the interval of its own model
-    facts : more to keep in the report's ``facts`` (names of files, how the simulator
-        was changed)
+        The simulator, the log of the target, and what is known of the recording.
+    policies : PoliciesLike
+        One policy, a list of policies, or a mapping from names to policies. A policy is
+        an (S, A) array of probabilities, an (S,) array of actions or their names, a
+        mapping from states to actions, or a function of a state
+        (``mdp.check_policy``).
+    estimators : names, estimators, or a mapping from names to estimators, optional
+        What evaluates the policies: names such as ``"oee"``, ``"model-based"`` or
+        ``"wpdis"``, estimator objects such as ``oee.estimators.OffEnvironment()``, and
+        functions of (problem, policy) or (problem, policy, seed). None means the
+        simulator, off-environment evaluation, the model-based baseline, and importance
+        sampling where the log has episodes and the behaviour policy is known.
+    confidence : float, default 0.95
+        The level of all intervals, in (0, 1).
+    seed : Seed, optional
+        The seed of estimators that sample: an int, or anything that
+        ``numpy.random.SeedSequence`` takes. Every pair of a policy and an estimator has
+        a stream of its own. None draws a new seed.
+    normalized : bool, default False
+        Whether tables, pictures and files of the report multiply values by
+        (1 - discount).
+    target : FiniteMDP, optional
+        The true target, where it is known (in teaching and research). The report then
+        has the exact values and the errors.
+    facts : Mapping of str to value, optional
+        More entries for the report's ``facts``, such as names of files.
+    guaranteed : bool, default False
+        Whether to compute also the intervals that cover at any sample size
+        (``interval(method="robust")``).
+    quick : bool, default False
+        Whether to leave out the likelihood intervals, which take most of the time in
+        large problems.
+    lower_ratio : float, optional
+        A known lower bound in [0, 1] on target over simulator probabilities. With
+        ``upper_ratio`` it narrows likelihood intervals, guaranteed intervals and
+        comparisons.
+    upper_ratio : float, optional
+        A known upper bound of at least 1 on target over simulator probabilities.
+    tie : array, data frame or function, optional
+        A key for each transition. Transitions of one key are taken to differ from the
+        simulator by the same factor (``transition_ratio``). It adds the estimator
+        ``"oee-tied"`` with the interval of its own model. Not together with
+        ``features``.
+    features : array, data frame or function, optional
+        Features of each transition, along which the target is taken to differ from the
+        simulator (``transition_ratio``). It adds the estimator ``"oee-features"`` with
+        the interval of its own model.
 
     Returns
     -------
     Report
-        Estimates with their intervals, in the order policy, estimator; warnings in
-        plain language; ``uncertainty``. A value that the log corrects and that lies
-        outside the likelihood interval is replaced by the nearer end.
-        ``diagnostics["interval_method"]`` names the interval.
+        The estimates with their intervals, in the order policy, estimator.
+        ``print(report)`` begins with the answer, ``report.table`` is a data frame,
+        ``report.best`` is the best policy, ``report.warnings`` limits the answer, and
+        ``report.to_html(path)`` writes a page for readers who did not run it.
 
     Raises
     ------
     ValueError
-        Bad arguments, and what the estimators that were asked for raise.
+        If an argument is out of its range or contradicts another, if the log
+        contradicts ``lower_ratio`` and ``upper_ratio``, or if one of the requested
+        estimators cannot evaluate this problem.
+
+    See Also
+    --------
+    contest : Compare policies by off-environment evaluation alone.
+    evaluate_continuous : Evaluate policies of a task with continuous states.
+    inference.interval : Compute one interval, by any of four methods.
+    plan_data_collection : Choose what to record next.
+
+    Notes
+    -----
+    A value that the log corrects is quoted with its likelihood interval. If the value
+    lies outside of this interval, the nearer end replaces it. Other values have the
+    interval of their estimator, or else value ± a normal quantile times the standard
+    error. ``diagnostics["interval_method"]`` of an estimate names its interval.
+
+    A likelihood interval costs about a hundred linear solves, a second for 10 000
+    states. It is left out of problems in which more than ten million transitions can be
+    reached.
 
     Examples
     --------
@@ -105,29 +184,14 @@ def evaluate(
     >>> report.uncertainty.sentences[0]
     'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
     """
-    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
-    for flag, name in (
-        (normalized, "normalized"),
-        (guaranteed, "guaranteed"),
-        (quick, "quick"),
-    ):
-        _checks.boolean(flag, name)
-    if quick and guaranteed:
-        raise ArgumentError(
-            "guaranteed", "must be False where quick is True: it leaves intervals out"
-        )
+    _check_flags(
+        normalized=normalized, guaranteed=guaranteed, quick=quick, problem=problem
+    )
     if facts is not None:
         _checks.instance(facts, Mapping, "facts")
     simulator = problem.simulator
     if target is not None:
-        _checks.instance(target, FiniteMDP, "target")
-        if target.transitions.shape != simulator.transitions.shape:
-            raise ArgumentError(
-                "target",
-                f"must have the simulator's {simulator.n_states} states and"
-                f" {simulator.n_actions} actions; it has {target.n_states} and"
-                f" {target.n_actions}",
-            )
+        _check_target(target, simulator)
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if normalized and simulator.discount == 1.0:
         raise ArgumentError(
@@ -137,8 +201,8 @@ def evaluate(
     named = check_policies(policies, simulator, name="policy")
     if not named:
         raise ArgumentError("policies", "must hold at least one; it is empty")
-    known = Premises(**assumed)
-    if quick and str(known):
+    known = Premises(lower_ratio, upper_ratio, tie, features)
+    if quick and known.has_box:
         raise ArgumentError(
             "quick",
             "must be False with lower_ratio or upper_ratio: it leaves out the intervals"
@@ -154,51 +218,29 @@ def evaluate(
     scale = 1.0 - simulator.discount if normalized else 1.0
     with _progress.show_steps(only_terminal=True):
         results = _run_estimators(problem, named, chosen | known.estimators, seed)
-        hidden: frozenset[tuple[str, str]] = frozenset()
+        hidden: frozenset[Pair] = frozenset()
         if estimators is None:
             results, reasons = _drop_weightless(results)
             left_out += reasons
-            uncertain = (
-                r
-                for r in results
-                if any(f.kind == FEW_WEIGHTED for f in r.estimate.findings)
-            )
-            hidden = frozenset((r.policy, r.estimator) for r in uncertain)
+            hidden = _pairs_with_few_weights(results)
         uncertainty = find_intervals(
             problem, named, level, known, guaranteed=guaranteed, quick=quick
         )
-        for k, result in enumerate(results):
-            key = SHARED if result.estimator in known.estimators else LIKELIHOOD
-            likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
-            results[k] = replace(
-                result,
-                estimate=choose_interval(result.estimate, likelihood, level, scale),
-            )
+        results = _choose_intervals(results, uncertainty, known, level, scale)
         front = {
             name: result.estimate for name, result in first_results(results).items()
         }
         uncertainty = add_comparison(
             uncertainty, problem, named, level, known, front, scale
         )
-    models = [
-        (r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes
-    ]
-    warnings_and_rows: list[tuple[str, list[Pair]]] = [
-        (sentence, []) for sentence in left_out
-    ]
-    warnings_and_rows += [
-        (str(finding), models if finding.severity > 0 else [])
-        for finding in problem.findings
-    ]
-    warnings, notes = number_notes(
-        results, [*warnings_and_rows, *group_findings(results)]
-    )
+    warnings, notes = _collect_warnings(problem, results, left_out)
     about = {
         "simulator": repr(simulator),
         "log": problem.log.describe(),
         "rewards": problem.rewards,
     }
-    about |= {"target": str(known)} if str(known) else {}
+    if known.has_box:
+        about["target"] = str(known)
     return Report(
         tuple(results),
         truth,
@@ -217,27 +259,70 @@ def evaluate(
     )
 
 
-def contest(problem: Problem, policies: object, **options: Any) -> Report:
-    """Compare policies on one log: ``evaluate`` by off-environment evaluation alone,
-    which is exact; of two or more policies.
+def contest(
+    problem: Problem,
+    policies: PoliciesLike,
+    *,
+    confidence: float = 0.95,
+    normalized: bool = False,
+    target: FiniteMDP | None = None,
+    facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
+    quick: bool = False,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    tie: TieLike | None = None,
+    features: FeaturesLike | None = None,
+) -> Report:
+    """Compare two or more policies on one log by off-environment evaluation alone.
+
+    This is ``evaluate`` with the estimator ``"oee"``, which is exact and needs no seed.
 
     Parameters
     ----------
     problem : Problem
-    policies : two or more, as for ``evaluate``
-    options : confidence (of the values' intervals, and of all differences from the best
-        together), quick, lower_ratio, upper_ratio, tie, features, as for ``evaluate``
+        The simulator, the log of the target, and what is known of the recording.
+    policies : PoliciesLike
+        A list of two or more policies, or a mapping from names to policies.
+    confidence : float, default 0.95
+        The level of the intervals of values, and of the intervals of all differences
+        from the best together, in (0, 1).
+    normalized : bool, default False
+        Whether the report multiplies values by (1 - discount).
+    target : FiniteMDP, optional
+        The true target, where it is known: adds exact values and errors.
+    facts : Mapping of str to value, optional
+        More entries for the report's ``facts``.
+    guaranteed : bool, default False
+        Whether to compute also the intervals that cover at any sample size.
+    quick : bool, default False
+        Whether to leave out the likelihood intervals. The ranking then rests on the
+        intervals of the differences alone.
+    lower_ratio : float, optional
+        A known lower bound in [0, 1] on target over simulator probabilities.
+    upper_ratio : float, optional
+        A known upper bound of at least 1 on target over simulator probabilities.
+    tie : array, data frame or function, optional
+        A key for each transition, as in ``evaluate``.
+    features : array, data frame or function, optional
+        Features of each transition, as in ``evaluate``.
 
     Returns
     -------
     Report
-        ``best`` is the policy that is worth most, None where the log cannot say;
-        ``comparison()`` has the differences.
+        ``best`` is the policy that is worth most, None where the log cannot say, and
+        ``comparison()`` has the differences from it.
 
     Raises
     ------
     ValueError
-        Fewer than two policies; discount 1 without a horizon; bad arguments.
+        If there are fewer than two policies, if the discount is 1 and the problem has
+        no horizon, or as in ``evaluate``.
+
+    See Also
+    --------
+    evaluate : Evaluate policies by several estimators.
+    inference.compare_policies : Compute the differences and their covariance alone.
 
     Examples
     --------
@@ -253,15 +338,56 @@ def contest(problem: Problem, policies: object, **options: Any) -> Report:
     several_policies(policies, problem.simulator)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
-    return evaluate(problem, policies, estimators=["oee"], seed=0, **options)
+    return evaluate(
+        problem,
+        policies,
+        estimators=["oee"],
+        confidence=confidence,
+        seed=0,
+        normalized=normalized,
+        target=target,
+        facts=facts,
+        guaranteed=guaranteed,
+        quick=quick,
+        lower_ratio=lower_ratio,
+        upper_ratio=upper_ratio,
+        tie=tie,
+        features=features,
+    )
+
+
+def _check_flags(
+    *, normalized: bool, guaranteed: bool, quick: bool, problem: Problem
+) -> None:
+    """Check the problem and the options of ``evaluate`` that are true or false."""
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    _checks.boolean(normalized, "normalized")
+    _checks.boolean(guaranteed, "guaranteed")
+    _checks.boolean(quick, "quick")
+    if quick and guaranteed:
+        raise ArgumentError(
+            "guaranteed", "must be False where quick is True: it leaves intervals out"
+        )
+
+
+def _check_target(target: FiniteMDP, simulator: FiniteMDP) -> None:
+    """Refuse a target whose numbers of states or actions are not the simulator's."""
+    _checks.instance(target, FiniteMDP, "target")
+    if target.transitions.shape != simulator.transitions.shape:
+        raise ArgumentError(
+            "target",
+            f"must have the simulator's {simulator.n_states} states and"
+            f" {simulator.n_actions} actions; it has {target.n_states} and"
+            f" {target.n_actions}",
+        )
 
 
 def is_best_in_log(problem: Problem, policy: Array) -> bool:
-    """Whether the policy is optimal in the log's own model, without a horizon, and not
-    in the simulator.
+    """Return whether a policy is optimal in the log's model, but not in the simulator.
 
-    The log's own model has its frequencies, and the simulator's rows where there are
-    none.
+    The log's model has the log's frequencies, and the simulator's rows in unrecorded
+    state-action pairs. Optimality is without a horizon; at discount 1 the answer is
+    False.
     """
     if problem.simulator.discount == 1.0:
         return False
@@ -272,23 +398,24 @@ def is_best_in_log(problem: Problem, policy: Array) -> bool:
 
 
 def _is_optimal(model: Model, policy: Array) -> bool:
-    """Whether no action is better than the policy's own in any state that it reaches."""
+    """Return whether no action beats the policy's own in a state that it reaches."""
     values = action_values(model, policy)
     lost = values.max(axis=1) - (policy * values).sum(axis=1)
     reached = occupancy(model, policy).sum(axis=1) > 0
-    return bool(lost[reached].max() <= 1e-9 * max(1.0, float(np.abs(values).max())))
+    tolerance = OPTIMALITY_TOLERANCE * max(1.0, float(np.abs(values).max()))
+    return bool(lost[reached].max() <= tolerance)
 
 
 def _choose_estimators(
     problem: Problem,
-    estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None,
+    estimators: EstimatorsLike | None,
     target: FiniteMDP | None,
-) -> tuple[dict[str, Estimator], list[str]]:
-    """The estimators by name, and sentences on those that are left out."""
+) -> tuple[dict[str, EstimatorLike], list[str]]:
+    """Return the estimators by name, and a sentence on each that is left out."""
     if estimators is None:
         names, left_out = default_names(problem)
-        return named_estimators(names, target), left_out
-    chosen: dict[str, Estimator] = {}
+        return {**named_estimators(names, target)}, left_out
+    chosen: dict[str, EstimatorLike] = {}
     if isinstance(estimators, Mapping):
         for name, estimator in estimators.items():
             _checks.function(estimator, f"estimators[{name!r}]")
@@ -299,6 +426,7 @@ def _choose_estimators(
             if isinstance(item, str):
                 chosen |= named_estimators([item], target)
             elif callable(item):
+                # a second estimator of one class gets another name
                 label = type(item).__name__
                 while label in chosen:
                     label += "'"
@@ -316,11 +444,13 @@ def _choose_estimators(
 def _run_estimators(
     problem: Problem,
     policies: Mapping[str, Array],
-    chosen: Mapping[str, Estimator],
-    seed: Any,
+    chosen: Mapping[str, EstimatorLike],
+    seed: Seed,
 ) -> list[Result]:
-    """Every estimate of every policy; of a policy that was made from the log with a
-    finding about that.
+    """Run every estimator on every policy.
+
+    Estimates of a policy that is the best in the log's own model get a finding about
+    it: the log has been used twice.
     """
     results = []
     for i, (name, policy) in enumerate(policies.items()):
@@ -329,7 +459,6 @@ def _run_estimators(
             _progress.report_step(
                 f"{label} of “{name}” (policy {i + 1} of {len(policies)})"
             )
-            # functions are taken, too
             run = as_estimator(estimator, f"estimators[{label!r}]")
             estimate = run(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
             if is_from_log and estimate.is_from_log and estimate.status == "ok":
@@ -341,71 +470,117 @@ def _run_estimators(
 
 
 def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]]:
-    """Without importance sampling that has no positive weight, and a sentence about
-    that.
-    """
+    """Drop importance sampling without a positive weight, and say so in a sentence."""
     kept = [result for result in results if WEIGHTLESS not in result.estimate.findings]
     lost = [result for result in results if WEIGHTLESS in result.estimate.findings]
+    if not lost:
+        return kept, []
     names = ", ".join(dict.fromkeys(result.policy for result in lost))
-    return kept, (
-        [text.MISSING_WEIGHTS.format(names, lost[0].estimate.status)] if lost else []
-    )
+    return kept, [text.MISSING_WEIGHTS.format(names, lost[0].estimate.status)]
 
 
-Pair = tuple[str, str]  # (policy, estimator)
-N_FIGURES = 3  # of policies, the worst ones, that a note gives
+def _pairs_with_few_weights(results: Sequence[Result]) -> frozenset[Pair]:
+    """Return the (policy, estimator) whose estimate rests on a few episodes."""
+    pairs = []
+    for result in results:
+        kinds = {finding.kind for finding in result.estimate.findings}
+        if FEW_WEIGHTED in kinds:
+            pairs.append((result.policy, result.estimator))
+    return frozenset(pairs)
+
+
+def _choose_intervals(
+    results: Sequence[Result],
+    uncertainty: Uncertainty,
+    known: Premises,
+    level: float,
+    scale: float,
+) -> list[Result]:
+    """Give every estimate the interval to quote, and a value inside of it."""
+    shared = known.estimators
+    chosen = []
+    for result in results:
+        key = SHARED if result.estimator in shared else LIKELIHOOD
+        likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
+        estimate = choose_interval(result.estimate, likelihood, level, scale)
+        chosen.append(replace(result, estimate=estimate))
+    return chosen
+
+
+def _collect_warnings(
+    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
+    """Return all warnings, and the numbers of those about each (policy, estimator).
+
+    Warnings about the problem concern every estimate that does not average the log's
+    own episodes.
+    """
+    models = [
+        (result.policy, result.estimator)
+        for result in results
+        if not result.estimate.is_from_episodes
+    ]
+    warnings: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
+    for finding in problem.findings:
+        warnings.append((str(finding), models if finding.severity > 0 else []))
+    return number_notes(results, [*warnings, *group_findings(results)])
 
 
 def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
-    """One sentence for all findings of one kind and text, with the (policy, estimator)
-    that it is about.
+    """Write one sentence for all findings of one kind and text.
+
+    With each sentence come the (policy, estimator) that it is about.
     """
-    groups: dict[tuple[str, str], list[tuple[Finding, str, str]]] = {}
+    groups: dict[tuple[str, str], list[Member]] = {}
     for result in results:
         for finding in result.estimate.findings:
             group = groups.setdefault((finding.kind, finding.text), [])
             group.append((finding, result.policy, result.estimator))
     sentences = []
     for members in groups.values():
-        # the policies it is said of -> the estimators
-        by_policies: dict[tuple[str, ...], list[str]] = {}
-        for label in dict.fromkeys(member[2] for member in members):
-            own = tuple(member[1] for member in members if member[2] == label)
-            by_policies.setdefault(own, []).append(label)
-        about = "; ".join(
-            f"{', '.join(labels)} ({', '.join(own)})"
-            for own, labels in by_policies.items()
-        )
-        # the worst of each policy, or of each estimator of a single one
-        figures: dict[str, str] = {}
-        several = len({policy for _, policy, _ in members}) > 1
-        worst = sorted(members, key=lambda member: -member[0].severity)
-        for finding, policy, label in worst:
-            figures.setdefault(policy if several else label, finding.figure)
-        listed = ", ".join(
-            f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES]
-        )
-        figure = worst[0][0].figure if len(set(figures.values())) == 1 else listed
-        sentences.append(
-            (
-                f"{about}: {worst[0][0].sentence(figure)}",
-                [member[1:] for member in members],
-            )
-        )
+        worst = max(members, key=lambda member: member[0].severity)[0]
+        sentence = worst.sentence(_write_figures(members))
+        pairs = [(policy, estimator) for _, policy, estimator in members]
+        sentences.append((f"{_write_subject(members)}: {sentence}", pairs))
     return sentences
+
+
+def _write_subject(members: Sequence[Member]) -> str:
+    """Write which estimators a finding is about, with the policies of each."""
+    by_policies: dict[tuple[str, ...], list[str]] = {}
+    for label in dict.fromkeys(estimator for _, _, estimator in members):
+        own = tuple(policy for _, policy, estimator in members if estimator == label)
+        by_policies.setdefault(own, []).append(label)
+    return "; ".join(
+        f"{', '.join(labels)} ({', '.join(own)})" for own, labels in by_policies.items()
+    )
+
+
+def _write_figures(members: Sequence[Member]) -> str:
+    """Write the worst figure of each policy, or of each estimator of a single policy.
+
+    Figures that are all equal are written once.
+    """
+    figures: dict[str, str] = {}
+    has_several_policies = len({policy for _, policy, _ in members}) > 1
+    worst_first = sorted(members, key=lambda member: -member[0].severity)
+    for finding, policy, label in worst_first:
+        name = policy if has_several_policies else label
+        figures.setdefault(name, finding.figure)
+    if len(set(figures.values())) == 1:
+        return worst_first[0][0].figure
+    shown = list(figures.items())[:MAX_FIGURES]
+    return ", ".join(f"{figure} ({name})" for name, figure in shown)
 
 
 def number_notes(
     results: Iterable[Result], warnings: Sequence[tuple[str, Collection[Pair]]]
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
-    """The sentences, numbered from 1, and the numbers of those that are about each
-    (policy, estimator).
-    """
-    every = [(result.policy, result.estimator) for result in results]
-    notes = {
-        pair: tuple(
+    """Number warnings from 1, and list the numbers about each (policy, estimator)."""
+    notes: dict[Pair, tuple[int, ...]] = {}
+    for result in results:
+        pair = (result.policy, result.estimator)
+        notes[pair] = tuple(
             k for k, (_, pairs) in enumerate(warnings, start=1) if pair in pairs
         )
-        for pair in every
-    }
     return tuple(sentence for sentence, _ in warnings), notes

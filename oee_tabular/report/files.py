@@ -1,6 +1,4 @@
-"""Files of reports: whether they can be written, asked before the work is done, and
-what one says.
-"""
+"""Files of reports: checks before any work, and a summary of a written report."""
 
 from __future__ import annotations
 
@@ -19,18 +17,25 @@ from oee_tabular.exceptions import ArgumentError
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
-    """``folder`` can be made and written; a ValueError before any work is done
-    otherwise.
+    """Check that a folder can be made and written, before any work is done.
+
+    Nothing is made.
 
     Parameters
     ----------
-    folder : str or path; nothing is made
-    name : what the error calls it
+    folder : str or path
+        The folder in which results are to be written.
+    name : str, default "output"
+        What the error calls the folder.
 
     Raises
     ------
     ValueError
-        It, or a folder above it, is a file, or may not be written.
+        If the folder, or a folder above it, is a file or may not be written.
+
+    See Also
+    --------
+    check_page : Check that a page can be written.
 
     Examples
     --------
@@ -59,21 +64,29 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
 
 
 def check_page(path: str | os.PathLike[str]) -> Path:
-    """``path`` as a Path of a page that can be written, in a folder that exists or can
-    be made.
+    """Check that a page can be written, and return its path.
+
+    The folder of the page must exist, or it must be possible to make it. Nothing is
+    made.
 
     Parameters
     ----------
-    path : str or path of a .html or .htm file
+    path : str or path
+        The page, a .html or .htm file.
 
     Returns
     -------
     Path
+        The path of the page.
 
     Raises
     ------
     ValueError
-        Another ending, a folder, or a place that may not be written.
+        If the path has another ending, is a folder, or may not be written.
+
+    See Also
+    --------
+    check_output : Check that a folder can be made and written.
 
     Examples
     --------
@@ -97,7 +110,10 @@ def check_page(path: str | os.PathLike[str]) -> Path:
 
 
 def plain(value: object) -> Any:
-    """Without numpy's types, infinities and nan (None): what JSON holds."""
+    """Convert a value to what JSON holds.
+
+    NumPy's numbers become Python's; nan and infinities become None.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -110,7 +126,7 @@ def plain(value: object) -> Any:
 
 
 def summary(path: Path) -> str:
-    """What a report.json says, in a few lines."""
+    """Summarise a report.json file in a few lines."""
     try:
         report = json.loads(path.read_text())
         lines = [f"Report of {report['unit']}"]
@@ -121,11 +137,10 @@ def summary(path: Path) -> str:
         for row in report["results"]:
             lower = row["lower"]
             upper = row["upper"]
-            ends = (
-                ""
-                if None in (lower, upper)
-                else f"  {_printing.interval(lower, upper)} ({row['interval_method']})"
-            )
+            ends = ""
+            if lower is not None and upper is not None:
+                shown = _printing.interval(lower, upper)
+                ends = f"  {shown} ({row['interval_method']})"
             lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
     except (KeyError, TypeError, ValueError) as error:
         raise ArgumentError(

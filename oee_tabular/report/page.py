@@ -1,8 +1,8 @@
-"""The page: contents and pictures set by the template. One file, no network, the same
-input the same bytes.
+"""The HTML page of a report: one file, no network, the same bytes for the same input.
 
-Below it what it was made from: names of files, their date, a short hash; and the
-command that plans the next recording.
+A template sets its contents and pictures. The last lines say what the page was made
+from (names of files, their date, a short hash), and which command plans the next
+recording.
 """
 
 from __future__ import annotations
@@ -53,18 +53,17 @@ LIBRARIES = (
     "matplotlib",
     "jinja2",
 )
-WIDTH = 4.6  # inches: text that is readable on a phone as well
-# at most
-N_POLICIES = 6
-N_PAIRS = 10
-# share of a policy's time from which a state with unrecorded actions is crossed out
-NOTABLE = 5e-4
+WIDTH = 4.6  # inches, at which text is readable on a phone as well
+MAX_POLICIES = 6  # that are drawn
+MAX_PAIRS = 10  # in the list of changes
+# the share of a policy's time from which a state with unrecorded actions is crossed out
+MIN_SHARE_TO_CROSS_OUT = 5e-4
 
 
 def render(
     report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None
 ) -> str:
-    """The page of a report."""
+    """Write the page of a report."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     portrait = None
@@ -96,6 +95,9 @@ def render(
         key=lambda answer: best_first.index(answer.policy) if best_first else 0,
     )
     name = answers[0].policy if len(answers) == 1 else f"{len(answers)} policies"
+    inputs = ""
+    if report.problem is not None:
+        inputs = f"inputs {fingerprint(report.problem, report.policies)}"
     page = environment.get_template("report.html.j2").render(
         title=title or f"Evaluation of {name}",
         report=report,
@@ -105,14 +107,10 @@ def render(
         level=text.format_level(report.confidence),
         portrait=portrait,
         draw_forest=draw_forest,
-        limits={"policies": N_POLICIES, "share": NOTABLE},
+        limits={"policies": MAX_POLICIES, "share": MIN_SHARE_TO_CROSS_OUT},
         command=plan_command(report),
         date=date(report),
-        fingerprint=(
-            ""
-            if report.problem is None
-            else f"inputs {fingerprint(report.problem, report.policies)}"
-        ),
+        fingerprint=inputs,
         diagnostics=diagnostic_columns(report),
         versions=_versions(),
         estimators=NAMED,
@@ -123,18 +121,18 @@ def render(
 
 
 def legible(words: object) -> str:
-    """Without the control characters that a name from a file may hold, which no page
-    can show.
-    """
-    return re.sub(
-        r"[^\t\n -~]",
-        lambda x: x[0] if x[0].isprintable() or x[0].isspace() else "\ufffd",
-        str(words),
-    )
+    """Replace the control characters that a name from a file may hold."""
+
+    def replace_unprintable(found: re.Match[str]) -> str:
+        """Return the character, or the replacement character if no page can show it."""
+        is_shown = found[0].isprintable() or found[0].isspace()
+        return found[0] if is_shown else "\ufffd"
+
+    return re.sub(r"[^\t\n -~]", replace_unprintable, str(words))
 
 
 def _versions() -> dict[str, str]:
-    """oee_tabular's, Python's and the libraries' versions."""
+    """Return the versions of oee_tabular, of Python and of the libraries."""
     versions = {"oee_tabular": __version__, "Python": platform.python_version()}
     there = {
         name for name in LIBRARIES if any(metadata.Distribution.discover(name=name))
@@ -148,16 +146,18 @@ def _versions() -> dict[str, str]:
 
 
 def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
-    """The day (UTC) of the newest of the files that exist: the same inputs, the same
-    day; "" where none does.
+    """Return the day (UTC) of the newest of the files; "" where none exists.
+
+    The same inputs give the same day.
     """
     times = [Path(file).stat().st_mtime for file in files if Path(file).is_file()]
     return _day(max(times)) if times else ""
 
 
 def date(report: Report) -> str:
-    """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input
-    file; "" where there are no files.
+    """Return the day to print; "" where there are no files.
+
+    It is that of SOURCE_DATE_EPOCH where it is set, else of the newest input file.
     """
     given = os.environ.get(EPOCH, "")
     try:
@@ -169,12 +169,13 @@ def date(report: Report) -> str:
 
 
 def _day(seconds: float) -> str:
+    """Write the day (UTC) of a number of seconds since 1970."""
     day = datetime.fromtimestamp(seconds, UTC)
     return f"{day.day} {day:%B %Y}"
 
 
 def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
-    """Eight letters that differ where simulator, log, horizon or policies do."""
+    """Return eight letters that differ where simulator, log, horizon or policies do."""
     simulator = problem.simulator
     arrays = {"rewards": simulator.rewards, "initial": simulator.initial}
     arrays["numbers"] = np.array([simulator.discount, problem.horizon or 0])
@@ -199,22 +200,20 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
 
 
 def plan_command(report: Report) -> str:
-    """What plans the next recording, ready to be typed: the command in the files' own
-    names, or the call in Python.
+    """Return what plans the next recording, ready to be typed.
 
-    "" where neither can (a continuous task's log).
+    It is the command in the files' own names, or the call in Python; "" where neither
+    can plan (a continuous task's log).
     """
     facts = report.facts
     if report.problem is None:
         return ""
     n = max(1, int(report.problem.counts.sum()))
     if "policy_names" not in facts:
+        if "simulator_name" in facts:
+            return ""
         wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
-        return (
-            ""
-            if "simulator_name" in facts
-            else f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
-        )
+        return f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
     words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
     for file in facts.get("log_files", [facts["log_name"]]):
         words += ["--log", str(file)]
@@ -226,7 +225,8 @@ def plan_command(report: Report) -> str:
     }
     options["action-noise"] = facts.get("action_noise") or None
     for name, value in options.items():
-        words += [] if value is None else [f"--{name}", str(value)]
+        if value is not None:
+            words += [f"--{name}", str(value)]
     return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
 
 
@@ -235,12 +235,21 @@ def plan_command(report: Report) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """The log and the policies, on the task's map where it has one.
+    """The log and the policies, drawn on the task's map where it has one.
 
-    ``changes`` has the log's counts (S, A), and how far each pair is from the
-    simulator. ``over`` (S,) are states that no action leaves. ``time`` of each policy
-    (S, A) are its shares of discounted time before an episode is over, in the simulator
-    as the log corrects it; they sum to 1.
+    Attributes
+    ----------
+    names : Names
+        The names of states and actions.
+    changes : RowChanges
+        The log's counts, of shape (S, A), and how far each pair is from the simulator.
+    over : ndarray of shape (S,)
+        Whether no action leaves the state.
+    time : dict of str to ndarray of shape (S, A)
+        The shares of each policy's discounted time before an episode ends, in the
+        simulator as the log corrects it; they sum to 1.
+    map : Map or None
+        Where the states lie.
     """
 
     names: Names
@@ -251,46 +260,45 @@ class Portrait:
 
     @property
     def alive(self) -> int:
-        """How many states can be left."""
+        """Return the number of states that can be left."""
         return int((~self.over).sum())
 
     @property
     def never(self) -> int:
-        """In how many of them the log has no transition."""
+        """Return in how many of these states the log has no transition."""
         return int(((self.changes.counts.sum(axis=1) == 0) & ~self.over).sum())
 
     @property
     def missing_pairs(self) -> int:
-        """How many of their pairs the log does not have."""
+        """Return how many of the pairs of these states were never recorded."""
         return int((self.changes.counts[~self.over] == 0).sum())
 
     def unrecorded(self, policy: str) -> Array:
-        """(S,) the part of each state's time in unrecorded pairs."""
-        unrecorded: Array = np.where(
-            self.changes.counts > 0, 0.0, self.time[policy]
-        ).sum(axis=1)
-        return unrecorded
+        """Return the part (S,) of a policy's time in unrecorded pairs of each state."""
+        unrecorded = np.where(self.changes.counts > 0, 0.0, self.time[policy])
+        return np.asarray(unrecorded.sum(axis=1))
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The pairs with the largest certain change; where none is certain, those with
-        the most evidence.
+        """Return the pairs with the largest certain change.
+
+        Where no change is certain, they are the pairs with the most evidence.
         """
         evidence = self.changes.evidence
-        order = np.argsort(-evidence, axis=None, kind="stable")[:N_PAIRS]
+        order = np.argsort(-evidence, axis=None, kind="stable")[:MAX_PAIRS]
         likely = (divmod(int(k), evidence.shape[1]) for k in order)
-        return self.changes.largest(N_PAIRS) or [
+        return self.changes.largest(MAX_PAIRS) or [
             pair for pair in likely if evidence[pair] > 0
         ]
 
     def where(self, state: Any) -> str:
-        """A state in words."""
+        """Name a state, with its place on the map."""
         place = None if self.map is None else self.map.place(int(state))
         words = "" if place is None else f" (row {place[0]:.6g}, column {place[1]:.6g})"
         return f"state {self.names.state(state)}{words}"
 
     def longest(self, policy: str) -> list[str]:
-        """The states where a policy is most of the time, in words."""
+        """Name the states in which a policy spends most time."""
         time = self.time[policy].sum(axis=1)
         return [
             f"{self.where(s)} {time[s]:.1%}"
@@ -299,38 +307,36 @@ class Portrait:
         ]
 
     def plot_recorded(self, ax: Axes) -> Axes:
-        """How many transitions the log has from each state."""
+        """Draw how many transitions the log has from each state."""
         assert self.map is not None
         return plots.plot_coverage(self.changes.counts, self.map, ax, over=self.over)
 
     def plot_time(self, policy: str, ax: Axes) -> Axes:
-        """Where a policy goes, on the map or as a ranking of states."""
+        """Draw where a policy spends its time, on the map or as a ranking of states."""
         time = self.time[policy]
         if self.map is not None:
-            crossed = self.unrecorded(policy) > NOTABLE
+            crossed = self.unrecorded(policy) > MIN_SHARE_TO_CROSS_OUT
             return plots.plot_occupancy(
                 time.sum(axis=1), self.map, ax, unrecorded=crossed, over=self.over
             )
-        names = (
-            None
-            if self.names.states is None
-            else [self.names.state(s) for s in range(len(time))]
-        )
+        names = None
+        if self.names.states is not None:
+            names = [self.names.state(s) for s in range(len(time))]
         return plots.plot_states(time, self.changes.counts, ax, names=names)
 
     def plot_changes(self, ax: Axes) -> Axes:
-        """By how much the target differs for certain: the largest of each state's
-        actions.
+        """Draw by how much the target differs for certain.
+
+        Each state shows the largest change of its actions.
         """
         assert self.map is not None
         least = 100.0 * self.changes.certain.max(axis=1)
         shown = np.where(
             self.over | (self.changes.counts.sum(axis=1) == 0), np.nan, least
         )
-        words = [
-            "end" if over else f"{x:.0f}" if x > 0 else ""
-            for x, over in zip(shown, self.over, strict=True)
-        ]
+        words = [f"{x:.0f}" if x > 0 else "" for x in shown]
+        for state in np.flatnonzero(self.over):
+            words[state] = "end"
         label = "transitions that end elsewhere, at least (%)"
         return plots.plot_grid(shown, self.map, ax, text=words, label=label)
 
@@ -343,13 +349,13 @@ class Portrait:
         *,
         policy: str = "",
     ) -> str:
-        """A picture as wide as the others: of a map its square cells and the colour
-        bar, else 20 bars at most.
+        """Draw a picture as wide as the others.
+
+        A map has square cells and a colour bar; a ranking has at most 20 bars.
         """
         if self.map is None:
-            height = 1.1 + 0.25 * min(
-                20, max(1, int((self.time[policy].sum(axis=1) > 0).sum()))
-            )
+            n_states = int((self.time[policy].sum(axis=1) > 0).sum())
+            height = 1.1 + 0.25 * min(20, max(1, n_states))
         else:
             tall = (WIDTH - 1.3) * len(self.map.rows) / len(self.map.columns)
             height = min(max(tall, 0.9) + 0.6, 7.0)
@@ -365,10 +371,13 @@ def portray(
     confidence: float,
     grid: tuple[int, int] | None,
 ) -> Portrait:
-    """The portrait of a problem; ``grid`` None: ``plots.map_of`` finds the map."""
+    """Make the portrait of a problem.
+
+    Without a ``grid`` the map is that of ``plots.map_of``.
+    """
     simulator = problem.simulator
     over = problem.simulator.closed()
-    shown = dict(list(policies.items())[:N_POLICIES])
+    shown = dict(list(policies.items())[:MAX_POLICIES])
     zeta = transition_ratio(
         problem.observed,
         simulator,
@@ -379,17 +388,15 @@ def portray(
     times = {}
     for name, policy in shown.items():
         try:
-            time = np.where(
-                over[:, None], 0.0, time_in_pairs(model, policy, problem.horizon)
-            )
-        except DivergentKernelError:  # it never ends at discount 1
+            time = time_in_pairs(model, policy, problem.horizon)
+        except DivergentKernelError:  # at discount 1 a policy need not end
             continue
+        time = np.where(over[:, None], 0.0, time)
         times[name] = time / (float(time.sum()) or 1.0)
-    places = (
-        plots.map_of(simulator)
-        if grid is None
-        else _read_grid(grid, simulator.n_states)
-    )
+    if grid is None:
+        places = plots.map_of(simulator)
+    else:
+        places = _read_grid(grid, simulator.n_states)
     return Portrait(
         simulator.names,
         row_changes(problem, confidence=confidence),
@@ -400,6 +407,7 @@ def portray(
 
 
 def _read_grid(grid: Any, n_states: int) -> plots.Map:
+    """Check a (rows, columns) against the number of states, and make the map."""
     try:
         rows, columns = grid
     except (TypeError, ValueError):
@@ -417,7 +425,7 @@ def _read_grid(grid: Any, n_states: int) -> plots.Map:
 
 
 def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
-    """The rows of a policy, and below them its intervals that stand beside no value."""
+    """Return the rows of a policy, then its intervals that stand beside no value."""
     rows = [row for row in report.records() if row["policy"] == policy]
     beside = {row["interval_method"] for row in rows}
     intervals = report.uncertainty.intervals.get(policy, {})
@@ -427,11 +435,10 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
         if each.method not in beside
     }
     quoted = intervals.get(LIKELIHOOD)
-    if quoted is not None and quoted.sampling not in (
-        None,
-        (quoted.lower, quoted.upper),
-    ):
-        alone["sampling"] = quoted.sampling
+    sampling = None if quoted is None else quoted.sampling
+    # where every pair is recorded, the two intervals are the same
+    if sampling is not None and sampling != (quoted.lower, quoted.upper):
+        alone["sampling"] = sampling
     for method, ends in alone.items():
         name = "guaranteed" if method == GUARANTEED else method
         lower, upper = (None if math.isnan(end) else end * report.scale for end in ends)
@@ -453,7 +460,7 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
 
 
 def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) -> str:
-    """Values and intervals of one policy, by estimator."""
+    """Draw the values and intervals of one policy, a line for each estimator."""
     policy = rows[0]["policy"]
     truth = rows[0]["true_value"]
     values, lower, upper = np.array(
@@ -461,17 +468,15 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
     )
     # lines that say "no value"
     limits = None if np.isfinite([values, lower]).any() else (0.0, 1.0)
-    valued = (row for row in rows if row["status"])
-    values_by_estimator = "; ".join(
-        f"{row['estimator']}"
-        f" {text.format_value(row['value'], row['lower'], row['upper'])}"
-        for row in valued
-    )
-    exact = (
-        ""
-        if truth is None
-        else f" The dashed line is the exact value, {text.format_number(truth)}."
-    )
+    parts = []
+    for row in rows:
+        if row["status"]:
+            value = text.format_value(row["value"], row["lower"], row["upper"])
+            parts.append(f"{row['estimator']} {value}")
+    values_in_words = "; ".join(parts)
+    exact = ""
+    if truth is not None:
+        exact = f" The dashed line is the exact value, {text.format_number(truth)}."
     factor = "(1 − discount) × " if report.normalized else ""
     return plots.figure_svg(
         lambda ax: plots.plot_intervals(
@@ -487,5 +492,5 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
         name=name,
         size=(WIDTH, 0.85 + 0.31 * len(rows)),
         title=f"Values of {policy} in the target, with intervals",
-        description=f"One line for each estimator. {values_by_estimator}.{exact}",
+        description=f"One line for each estimator. {values_in_words}.{exact}",
     )

@@ -1,4 +1,4 @@
-"""What an evaluation found: as text, as rows, as JSON and as files."""
+"""Results of an evaluation: ``Report`` and ``Result``, and their views and files."""
 
 from __future__ import annotations
 
@@ -44,8 +44,13 @@ class Result:
 
     Attributes
     ----------
-    policy, estimator : their names in the report
-    estimate : Estimate, a discounted sum (never multiplied by 1 - discount)
+    policy : str
+        The name of the policy in the report.
+    estimator : str
+        The name of the estimator in the report.
+    estimate : Estimate
+        The value, a discounted sum of rewards. It is never multiplied by (1 -
+        discount).
 
     Examples
     --------
@@ -59,11 +64,14 @@ class Result:
 
 
 def first_results(results: Sequence[Result]) -> dict[str, Result]:
-    """Of each policy the one to say first: a finite value, corrected by the log where
-    there is one, the simulator's last.
+    """Choose the result of each policy that a report states first.
+
+    A finite value goes before none, a value that the log corrects before others, and
+    the simulator's value comes last.
     """
 
     def order(result: Result) -> tuple[bool, bool, bool, bool]:
+        """Return a key that puts the result to be stated first before all others."""
         found = result.estimate
         return (
             not math.isfinite(found.value),
@@ -81,23 +89,51 @@ def first_results(results: Sequence[Result]) -> dict[str, Result]:
 
 @dataclass(frozen=True)
 class Report:
-    """What ``oee evaluate`` prints and draws; ``print(report)`` begins with the answer.
+    """The result of ``oee.evaluate``: ``print(report)`` begins with the answer.
+
+    Values are shown in the report's unit: discounted sums of rewards, multiplied by (1
+    - discount) if ``normalized``.
 
     Attributes
     ----------
-    results : one entry per policy and estimator; estimates are raw discounted sums
-    truth : exact value of each policy in the target, where the target is known
-    warnings : about the values, in plain language
-    notes : for each (policy, estimator), the numbers (from 1) of the warnings that
-        concern it
-    confidence : of the intervals
-    normalized : whether table, picture and JSON multiply values by (1 - discount)
-    discount, horizon, seed, facts : how it was computed
-    uncertainty : intervals of each policy, the comparison of the policies, and their
-        sentences
-    problem, policies : what was evaluated, for the pictures of ``to_html``
-    hidden : the (policy, estimator) whose rows a short table leaves out: importance
-        sampling that rests on a few episodes
+    results : tuple of Result
+        One entry for each policy and estimator. Their estimates are discounted sums,
+        never multiplied by (1 - discount).
+    truth : dict of str to float
+        The exact value of each policy in the target, a discounted sum; empty where the
+        target is not known.
+    warnings : tuple of str
+        What limits the values, in plain language.
+    notes : dict of (policy, estimator) to tuple of int
+        The numbers of the warnings that concern a result, counted from 1.
+    confidence : float
+        The level of the intervals, in (0, 1).
+    normalized : bool
+        Whether tables, pictures and files multiply values by (1 - discount).
+    discount : float
+        The discount of the simulator, in [0, 1].
+    horizon : int or None
+        The number of rewards; None for the infinite discounted sum.
+    seed : Seed
+        The seed that ``evaluate`` was given.
+    facts : dict of str to value
+        Descriptions of the simulator, the log and the rewards, and what the caller
+        added.
+    uncertainty : Uncertainty
+        The intervals of each policy, the comparison of the policies, and their
+        sentences.
+    problem : Problem or None
+        What was evaluated, for the pictures of ``to_html``.
+    policies : dict of str to ndarray of shape (S, A)
+        The policies that were evaluated, as probabilities.
+    hidden : frozenset of (policy, estimator)
+        The results that a short table leaves out: importance sampling that rests on a
+        few episodes.
+
+    See Also
+    --------
+    evaluate : Evaluate policies by several estimators.
+    contest : Compare policies on one log.
 
     Examples
     --------
@@ -127,7 +163,7 @@ class Report:
 
     @property
     def unit(self) -> str:
-        """What a value is, as a formula."""
+        """Return what a value is, as a formula."""
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         factor = "(1 - discount) * " if self.normalized else ""
         return (
@@ -137,41 +173,36 @@ class Report:
 
     @property
     def meaning(self) -> str:
-        """What a value is, in words."""
+        """Return what a value is, in words."""
         factor = f"{1.0 - self.discount:.4g} × " if self.normalized else ""
-        discounted, end = (
-            ("", "")
-            if self.discount == 1.0
-            else ("discounted ", f" (discount {self.discount:g})")
-        )
+        discounted = ""
+        end = ""
+        if self.discount != 1.0:
+            discounted = "discounted "
+            end = f" (discount {self.discount:g})"
         span = "the rewards" if self.horizon is None else f"{self.horizon} rewards"
         return f"{factor}the {discounted}sum of {span}{end}"
 
     @property
     def scale(self) -> float:
-        """(1 - discount) if normalized, else 1."""
+        """Return the factor of all values: (1 - discount) if normalized, else 1."""
         return 1.0 - self.discount if self.normalized else 1.0
 
     @property
     def answers(self) -> list[Answer]:
-        """What there is to say of each policy: the value that the log corrects, where
-        there is one, with its interval.
+        """Return what there is to say of each policy, in the order of the results.
+
+        The value is the one that the log corrects, where there is one, with its
+        interval.
         """
         answers = []
         for policy, first in first_results(self.results).items():
             row = self._record(first)
-            alone = (
-                r
-                for r in self.results
-                if r.policy == policy and not r.estimate.is_from_log
-            )
-            simulator = next(map(self._record, alone), {})
+            simulator = self._record_of_simulator(policy)
             likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
-            unrecorded = (
-                0
-                if likelihood is None
-                else int(likelihood.diagnostics.get("unrecorded_pairs", 0))
-            )
+            unrecorded = 0
+            if likelihood is not None:
+                unrecorded = int(likelihood.diagnostics.get("unrecorded_pairs", 0))
             answers.append(
                 Answer(
                     policy,
@@ -190,13 +221,20 @@ class Report:
             )
         return answers
 
+    def _record_of_simulator(self, policy: str) -> dict[str, Any]:
+        """Return the first record of a policy that uses the simulator alone, or {}."""
+        for result in self.results:
+            if result.policy == policy and not result.estimate.is_from_log:
+                return self._record(result)
+        return {}
+
     @property
     def headline(self) -> str:
-        """The answer in a sentence or two: the policy's value, or which of several
-        policies is worth most.
+        """Return the answer in a sentence or two.
 
-        It first names a log that contradicts the simulator's rewards or covers less
-        than half of what a policy does.
+        It states the value of a single policy, or which of several policies is worth
+        most. A log that contradicts the simulator's rewards, or that covers less than
+        half of what a policy does, is named first.
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
@@ -205,23 +243,24 @@ class Report:
         if len(self.answers) > 1 and self.uncertainty.ranking:
             sentences = [text.silent_log(answers), self.uncertainty.ranking]
         sentences.insert(0, self.uncertainty.caveat)
-        conflict = (
-            None
-            if self.problem is None or self.problem.rewards == "log"
-            else self.problem.reward_conflict
-        )
+        # rewards of the log cannot contradict the log
+        conflict = None
+        if self.problem is not None and self.problem.rewards != "log":
+            conflict = self.problem.reward_conflict
         if conflict is not None:
             where = str(conflict)
-            sentences.insert(
-                0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}")
-            )
+            where = f"{where[0].upper()}{where[1:]}"
+            sentences.insert(0, text.REWARD_CONFLICT.format(where))
         return " ".join(filter(None, sentences))
 
     @property
     def answer(self) -> str:
-        """The headline; of several policies also the value of each, with its interval,
-        beside the simulator's.
+        """Return the headline, and for several policies also the value of each.
 
+        Each value comes with its interval and with the simulator's value.
+
+        Examples
+        --------
         >>> import oee_tabular as oee
         >>> pair = oee.testing.case("ragged")
         >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
@@ -231,24 +270,29 @@ class Report:
         if len(self.answers) == 1 or not answers or not self.uncertainty.ranking:
             return self.headline
         ordered = sorted(answers, key=lambda answer: descending_key(answer.value))
-        return " ".join(
-            [
-                self.headline,
-                *(text.policy_worth(answer, self.confidence) for answer in ordered),
-            ]
-        )
+        values = [text.policy_worth(answer, self.confidence) for answer in ordered]
+        return " ".join([self.headline, *values])
 
     def records(self) -> list[dict[str, Any]]:
-        """The results as plain rows, in the report's unit (diagnostics that are values
-        as well).
+        """Return the results as a list of rows, the same as in ``table``.
+
+        Returns
+        -------
+        list of dict
+            One row for each policy and estimator, in the order of ``results``;
+            ``table`` lists the keys.
         """
         return [self._record(result) for result in self.results]
 
     def _record(self, result: Result) -> dict[str, Any]:
+        """Return one result as a row, in the report's unit."""
         estimate = result.estimate
         truth = self.truth.get(result.policy)
         method = estimate.diagnostics.get("interval_method", OWN)
         lower, upper = estimate.interval or (None, None)
+        likelihood = None
+        if method == LIKELIHOOD:
+            likelihood = self.uncertainty.likelihood.get(result.policy)
         row = {
             "policy": result.policy,
             "estimator": result.estimator,
@@ -256,21 +300,18 @@ class Report:
             "standard_error": estimate.standard_error,
             "lower": lower,
             "upper": upper,
-            **sampling_columns(
-                self.uncertainty.likelihood.get(result.policy)
-                if method == LIKELIHOOD
-                else None
-            ),
+            **sampling_columns(likelihood),
             "interval_method": None if lower is None else method,
             "true_value": truth,
             "error": None if truth is None else estimate.value - truth,
             "status": estimate.status,
             "notes": list(self.notes.get((result.policy, result.estimator), ())),
         }
+        # diagnostics stand after the columns, and never replace one of them
         return self._in_unit(row | estimate.diagnostics | row)
 
     def _in_unit(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """A row whose values are in the report's unit."""
+        """Return a row whose values are multiplied by the report's scale."""
         return {
             key: x * self.scale if key in VALUES and x is not None else x
             for key, x in row.items()
@@ -278,19 +319,70 @@ class Report:
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row per policy and estimator, every diagnostic a column."""
+        """Return the results as a data frame, a row for each policy and estimator.
+
+        Values are in the report's unit (``unit``). The columns:
+
+        - ``policy``: name of the policy.
+        - ``estimator``: name of the estimator.
+        - ``value``: estimated value, in the report's unit; nan where there is none.
+        - ``standard_error``: standard error of the value, in the report's unit, or
+          None.
+        - ``lower``, ``upper``: ends of the quoted interval, in the report's unit, or
+          None.
+        - ``sampling_lower``, ``sampling_upper``: ends of the interval from the recorded
+          transitions alone, in the report's unit; None beside other than likelihood
+          intervals.
+        - ``interval_method``: name of the interval, or None.
+        - ``true_value``: exact value in the target, in the report's unit, where it is
+          known.
+        - ``error``: value minus true value, in the report's unit, where that is known.
+        - ``status``: "ok", or why there is no value.
+        - ``notes``: numbers of the warnings that concern the row, from 1.
+
+        The other columns are the diagnostics of the estimators, empty where an
+        estimator has none. Among them are:
+
+        - ``coverage``: share of the policy's discounted time in recorded pairs, in [0,
+          1].
+        - ``effective_sample_size``: number of equally informative transitions or
+          episodes.
+        - ``largest_weight``: largest ratio that multiplies a reward or a transition.
+        - ``row_sum_error``: how far rows of corrected probabilities are from summing to
+          1.
+        - ``simulator_value``, ``model_value``, ``replaced_value`` and other values: in
+          the report's unit.
+        """
         import pandas as pd
 
         return pd.DataFrame(self.records())
 
     def comparison(self) -> list[dict[str, Any]]:
-        """A row each policy, best first: its value and interval, P(best), and by how
-        much it is worth less than the best.
+        """Compare the policies, best first.
 
-        P(best), and the ends of a difference, are None where the log cannot say. The
-        intervals of all differences cover together; one that is the difference of two
-        likelihood intervals' ends covers where both of these do.
-        [] of a single policy.
+        Returns
+        -------
+        list of dict
+            One row for each policy; empty for a single policy. The keys of a row, with
+            values and differences in the report's unit:
+
+            - ``policy``: name of the policy.
+            - ``value``: the value that stands first in the report.
+            - ``lower``, ``upper``: ends of its interval, or None.
+            - ``sampling_lower``, ``sampling_upper``: ends of the interval from the
+              recorded transitions alone, or None.
+            - ``probability_best``: P(best) in [0, 1]; None where the log cannot say.
+            - ``unrecorded_share``: share in [0, 1] of the policy's discounted time in
+              unrecorded pairs.
+            - ``less_by``: best value minus this value; None for the best.
+            - ``less_by_lower``, ``less_by_upper``: interval of this difference, or None
+              where the log cannot say.
+
+        Notes
+        -----
+        The intervals of all differences cover together with the report's confidence.
+        One that is the difference of two likelihood intervals' ends covers where both
+        of these do.
         """
         compared = self.uncertainty.comparison
         decision = self.uncertainty.decision
@@ -299,7 +391,8 @@ class Report:
         table = []
         known = self.uncertainty.likelihood
         rows = [self._record(result) for result in first_results(self.results).values()]
-        best, *_ = rows = sorted(rows, key=lambda row: descending_key(row["value"]))
+        rows.sort(key=lambda row: descending_key(row["value"]))
+        best = rows[0]
         for row in rows:
             policy = row["policy"]
             less = best["value"] - row["value"]
@@ -325,27 +418,31 @@ class Report:
 
     @property
     def best(self) -> str | None:
-        """The policy that is worth most; None where the log cannot say, or several are
-        worth the same.
+        """Return the name of the policy that is worth most.
+
+        None where the log cannot say, or where several are worth the same.
         """
-        return (
-            None
-            if self.uncertainty.decision is None
-            else self.uncertainty.decision.best
-        )
+        decision = self.uncertainty.decision
+        return None if decision is None else decision.best
 
     def __repr__(self) -> str:
         return self.to_text()
 
     def to_text(self, *, all: bool = False, verbose: bool = False) -> str:
-        """The report as text for a terminal of 100 columns.
+        """Write the report as text for a terminal of 100 columns.
 
         Parameters
         ----------
-        all : whether rows stand there that a short report leaves out (importance
-            sampling that rests on a few episodes)
-        verbose : whether every note stands there, and the table has columns of
-            diagnostics
+        all : bool, default False
+            Whether to show the rows that a short report leaves out: importance sampling
+            that rests on a few episodes.
+        verbose : bool, default False
+            Whether to show every note, and columns of diagnostics.
+
+        Returns
+        -------
+        str
+            The answer, the tables, what the intervals assume, and the notes.
         """
         return tables.render(
             self,
@@ -354,7 +451,18 @@ class Report:
         )
 
     def rows(self, *, all: bool = False) -> list[dict[str, Any]]:
-        """The records that stand in the table: ``all``, or those of a short report."""
+        """Return the records that stand in the table.
+
+        Parameters
+        ----------
+        all : bool, default False
+            Whether to include the rows that a short report leaves out.
+
+        Returns
+        -------
+        list of dict
+            Some or all of ``records()``.
+        """
         shows_all = _checks.boolean(all, "all")
         return [
             row
@@ -363,29 +471,48 @@ class Report:
         ]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What the intervals of the table are, for each method; ``rows`` are some of
-        ``records()``.
+        """Explain the intervals of the table, one sentence for each method.
+
+        Parameters
+        ----------
+        rows : sequence of dict
+            Some of ``records()``.
+
+        Returns
+        -------
+        list of str
+            A sentence for each method, with the estimators whose interval it is.
+
+        Raises
+        ------
+        ValueError
+            If ``rows`` are not records of a report.
         """
         members: dict[str, dict[str, None]] = {}
+        needed = {"interval_method", "estimator"}
         for row in _checks.collection(rows, "rows", "a Report's records()"):
-            if not isinstance(row, Mapping) or not row.keys() >= {
-                "interval_method",
-                "estimator",
-            }:
+            if not isinstance(row, Mapping) or not row.keys() >= needed:
                 raise ArgumentError(
                     "rows", f"must be a Report's records(); one is {_checks.show(row)}"
                 )
             if row["interval_method"] is not None:
-                members.setdefault(str(row["interval_method"]), {})[
-                    str(row["estimator"])
-                ] = None
+                estimators = members.setdefault(str(row["interval_method"]), {})
+                estimators[str(row["estimator"])] = None
         return [
             text.legend(method, list(names), self.confidence)
             for method, names in members.items()
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, as plain values (nan and infinities become None)."""
+        """Return everything as plain values, as in report.json.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, lists and dicts; nan and infinities become None. ``results``
+            are the rows of ``table``, ``intervals`` all intervals by policy and method,
+            and ``comparison`` the rows of ``comparison()``, in the report's unit.
+        """
         found = {
             "version": __version__,
             "answer": self.answer,
@@ -413,40 +540,64 @@ class Report:
         return {key: plain(value) for key, value in found.items()}
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON."""
+        """Return ``to_dict`` as JSON.
+
+        Returns
+        -------
+        str
+            The text of report.json, indented by two spaces.
+        """
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     def plot(self, ax: Axes | None = None, *, all: bool = False) -> Axes:
-        """Draw the values with their intervals (``plots.plot_values``); without ``ax``
-        on new axes.
+        """Draw the values with their intervals (``plots.plot_values``).
 
         Parameters
         ----------
-        ax : matplotlib Axes; None makes them
-        all : whether rows stand there that a short report leaves out
+        ax : matplotlib Axes, optional
+            The axes to draw on. None makes new ones.
+        all : bool, default False
+            Whether to draw the rows that a short report leaves out.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes with the picture.
         """
         rows = self.rows(all=all)
-        # lines that say "no value"
-        limits = (
-            None if any(math.isfinite(row["value"]) for row in rows) else (0.0, 1.0)
-        )
+        # lines that all say "no value" need limits
+        limits = (0.0, 1.0)
+        if any(math.isfinite(row["value"]) for row in rows):
+            limits = None
         return plot_values(
             rows, ax, title=self.headline, unit=self.meaning, limits=limits
         )
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write report.json, table.csv and values.png into ``folder``: all of them or
-        none.
+        """Write report.json, table.csv and values.png: all of them or none.
+
+        Parameters
+        ----------
+        folder : str or path
+            Where the files are written; the folder is made.
+
+        Returns
+        -------
+        list of Path
+            The paths of the files.
+
+        Raises
+        ------
+        ValueError
+            If the folder cannot be written.
         """
         check_output(folder, "folder")
         target = Path(folder)
+        height = 1.8 + 0.27 * (len(self.rows()) + len(self.answers))  # inches
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": figure_png(
-                self.plot,
-                size=(7.2, 1.8 + 0.27 * (len(self.rows()) + len(self.answers))),
-            ),
+            "values.png": figure_png(self.plot, size=(7.2, height)),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]
@@ -458,27 +609,30 @@ class Report:
         title: str | None = None,
         grid: tuple[int, int] | None = None,
     ) -> str:
-        """The report as one self-contained page, for people who did not run it; written
-        to ``path`` if one is given.
+        """Write the report as one self-contained page, for people who did not run it.
 
         Parameters
         ----------
-        path : .html or .htm file; its folder is made, the file appears whole or not at
-            all
-        title : of the page
-        grid : (rows, columns) of a task whose states are cells, row * columns + column;
-            None: the simulator's layout, or the transitions that it makes
+        path : str or path, optional
+            The .html or .htm file to write. Its folder is made, and the file appears
+            whole or not at all. None writes no file.
+        title : str, optional
+            The title of the page. None names the policies.
+        grid : (int, int), optional
+            The (rows, columns) of a task whose states are cells, numbered row * columns
+            + column. None takes the simulator's layout, or a map from its transitions
             (``plots.map_of``). Other tasks get a picture of the states where a policy
-            spends its time
+            spends its time.
 
         Returns
         -------
-        The page's text. The same input and seed give the same text.
+        str
+            The text of the page. The same input and seed give the same text.
 
         Raises
         ------
         ValueError
-            A path that cannot be written, a grid that has not as many cells as there
+            If the path cannot be written, or the grid has not as many cells as there
             are states.
 
         Examples
@@ -505,22 +659,22 @@ class Report:
 
 
 def interval_columns(interval: Interval) -> dict[str, Any]:
-    """An interval as columns of a table."""
-    about = {"confidence": interval.confidence, "status": interval.status}
-    return (
-        {"lower": interval.lower, "upper": interval.upper}
-        | sampling_columns(interval)
-        | about
-    )
+    """Return an interval as columns of a table."""
+    return {
+        "lower": interval.lower,
+        "upper": interval.upper,
+        **sampling_columns(interval),
+        "confidence": interval.confidence,
+        "status": interval.status,
+    }
 
 
 def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
-    """The interval from the recorded transitions alone, as columns of a table; None
-    where there is none.
+    """Return the ends of the interval from the recorded transitions alone, as columns.
+
+    They are None where there is no such interval.
     """
-    lower, upper = (
-        (None, None)
-        if interval is None or interval.sampling is None
-        else interval.sampling
-    )
+    lower, upper = None, None
+    if interval is not None and interval.sampling is not None:
+        lower, upper = interval.sampling
     return {"sampling_lower": lower, "sampling_upper": upper}

@@ -1,9 +1,8 @@
-"""The report's own sentences and templates: the answer, how certain it is, what the
-columns mean.
+"""Sentences and templates of reports: the answer, how certain it is, and legends.
 
-The others are in ``report.uncertainty`` (what the user assumes, why intervals are left
-out), ``estimators.findings`` (what estimators warn of), ``.rewards`` and ``.names``,
-``design.advice`` (what to record next) and ``continuous.correction``.
+Other sentences are in ``report.uncertainty`` (what the user assumes, why intervals are
+left out), ``estimators.findings`` (what estimators warn of), ``.rewards`` and
+``.names``, ``design.advice`` (what to record next) and ``continuous.correction``.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from dataclasses import dataclass
 
 from oee_tabular import _printing
 
-# share of the policy's time that the log covers: below it that is what a reader must
-# know first
-NEARLY_SILENT = 0.5
+# the share of a policy's discounted time in recorded pairs below which a reader must
+# know that first
+MIN_COVERAGE = 0.5
 METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": "every value that the log does not reject at this confidence.",
     "likelihood under the tie": (
@@ -99,16 +98,31 @@ class Answer:
 
     Attributes
     ----------
-    policy, estimator : whose value stands in front
-    value : nan where there is none
-    lower, upper, method : the interval and its kind; None without one
-    simulator, simulator_error : the simulator's value; its standard error where the
-        simulator was sampled
-    truth : the exact value in the target, where it is known
-    coverage : share of the policy's discounted time in state-action pairs that the log
-        has; None where it was not measured
-    unrecorded : how many reachable state-action pairs were never recorded
-    is_from_log : False of what the simulator alone says
+    policy : str
+        The name of the policy.
+    estimator : str
+        The estimator whose value stands first.
+    value : float
+        The value; nan where there is none.
+    lower : float or None
+        The lower end of the interval, or None without one.
+    upper : float or None
+        The upper end of the interval, or None without one.
+    method : str or None
+        The name of the interval, or None without one.
+    simulator : float or None
+        The value in the simulator.
+    simulator_error : float or None
+        The standard error of the simulator's value, where the simulator was sampled.
+    truth : float or None
+        The exact value in the target, where it is known.
+    coverage : float or None
+        The share of the policy's discounted time in recorded state-action pairs, in [0,
+        1]; None where it was not measured.
+    unrecorded : int
+        The number of reachable state-action pairs that were never recorded.
+    is_from_log : bool
+        Whether the value uses the log. False for what the simulator alone says.
     """
 
     policy: str
@@ -126,8 +140,8 @@ class Answer:
 
     @property
     def is_nearly_silent(self) -> bool:
-        """Whether the log covers less than half of what the policy does."""
-        return self.coverage is not None and self.coverage < NEARLY_SILENT
+        """Return whether the log covers less than half of what the policy does."""
+        return self.coverage is not None and self.coverage < MIN_COVERAGE
 
 
 # numbers
@@ -152,7 +166,7 @@ def format_value(value: float | None, lower: float | None, upper: float | None) 
 def format_interval(
     lower: float | None, upper: float | None, joint: str = " to "
 ) -> str:
-    """Write an interval."""
+    """Write an interval; an en dash without one."""
     if lower is None or upper is None:
         return "–"
     return (
@@ -161,13 +175,14 @@ def format_interval(
 
 
 def format_level(confidence: float) -> str:
-    """Write a confidence, 95% or 99.9%."""
+    """Write a confidence level, such as 95% or 99.9%."""
     return f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
 
 
 def count(number: int, noun: str) -> str:
-    """Count things: 1 pair, 2 pairs, 1,000 pairs."""
-    return f"{number:,} {noun}{'s' * (number != 1)}"
+    """Write a number of things: 1 pair, 2 pairs, 1,000 pairs."""
+    plural = "" if number == 1 else "s"
+    return f"{number:,} {noun}{plural}"
 
 
 # the answer
@@ -182,25 +197,19 @@ def policy_worth(answer: Answer, confidence: float) -> str:
             f"The log covers {_printing.share(answer.coverage)} of what the policy"
             f" “{answer.policy}” does: "
         )
-        known = f"between {format_interval(*ends, ' and ')} ({level} interval)"
-        sentence += (
-            known
-            if answer.lower is not None
-            else f"about {format_number(answer.value)}, without an interval"
-        )
+        if answer.lower is None:
+            sentence += f"about {format_number(answer.value)}, without an interval"
+        else:
+            sentence += f"between {format_interval(*ends, ' and ')} ({level} interval)"
     else:
-        where = (
-            "target" if answer.is_from_log or answer.truth is not None else "simulator"
-        )
+        is_of_target = answer.is_from_log or answer.truth is not None
+        where = "target" if is_of_target else "simulator"
         sentence = (
             f"In the {where}, the policy “{answer.policy}” is worth about"
             f" {format_value(answer.value, *ends)}"
         )
-        sentence += (
-            f" ({level} interval: {format_interval(*ends)})"
-            if answer.lower is not None
-            else ""
-        )
+        if answer.lower is not None:
+            sentence += f" ({level} interval: {format_interval(*ends)})"
     if answer.simulator is not None and answer.is_from_log:
         sentence += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
@@ -214,7 +223,7 @@ def policy_worth(answer: Answer, confidence: float) -> str:
 
 
 def silent_log(answers: Sequence[Answer]) -> str:
-    """Say of which policies the log is nearly silent; "" of none."""
+    """Say of which policies the log covers less than half; "" if of none."""
     silent = [answer for answer in answers if answer.is_nearly_silent]
     shares = ", ".join(
         f"{_printing.share(a.coverage or 0.0)} of what “{a.policy}” does"
@@ -235,8 +244,10 @@ def best_policy(
     *,
     overlap: bool,
 ) -> str:
-    """Say which policy is worth most, and by how much: ``margin`` (difference, lower,
-    upper).
+    """Say which policy is worth most, and by how much.
+
+    ``margin`` is the difference from the following policy with its interval:
+    (difference, lower, upper).
     """
     sentence = f"Of {n_policies} policies, “{best}” is worth most in the target."
     if math.isfinite(margin[0]):
@@ -253,15 +264,14 @@ def best_policy(
 def no_best_policy(
     candidates: Sequence[str], n_policies: int, *, are_equal: bool
 ) -> str:
-    """Say that the log cannot say, or that the candidates are worth the same."""
+    """Say that the log cannot name a best policy, or that the candidates are equal."""
     *first, last = (f"“{name}”" for name in candidates)
     names = f"{', '.join(first)} and {last}" if first else last
     others = n_policies - len(candidates)
-    less = (
-        f"; the other {others} {'is' if others == 1 else 'are'} worth less"
-        if others
-        else ""
-    )
+    less = ""
+    if others:
+        verb = "is" if others == 1 else "are"
+        less = f"; the other {others} {verb} worth less"
     if are_equal:
         return f"{names} are worth the same in the target{less}."
     return f"The log cannot say which of {names} is worth most in the target{less}."
@@ -272,11 +282,9 @@ def no_best_policy(
 
 def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
-    rest = (
-        " In the others the log shows no significant difference."
-        if rejected < tested
-        else ""
-    )
+    rest = ""
+    if rejected < tested:
+        rest = " In the others the log shows no significant difference."
     return (
         f"The data reject the simulator in {rejected} of the {tested} recorded"
         f" state-action pairs.{rest}"
@@ -294,11 +302,9 @@ def joint_rejection(z: float) -> str:
 
 def agreement(tested: int) -> str:
     """Say that the data agree with the simulator."""
-    pairs = (
-        f"the {tested} recorded state-action pairs"
-        if tested > 1
-        else "the one recorded state-action pair"
-    )
+    pairs = "the one recorded state-action pair"
+    if tested > 1:
+        pairs = f"the {tested} recorded state-action pairs"
     return (
         f"The data show no significant difference from the simulator in {pairs}. A"
         " short log cannot show a small one."
@@ -306,26 +312,24 @@ def agreement(tested: int) -> str:
 
 
 def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
-    """Say what the quoted interval allows in unrecorded pairs; "" where there are none."""
+    """Say what the quoted interval allows in unrecorded pairs; "" without any."""
     sentences = []
     if unrecorded:
-        pairs = f"{unrecorded} unrecorded pair{'s' * (unrecorded > 1)}"
-        of_time = (
-            "" if share is None else f" ({_printing.share(share)} of the policy's time)"
-        )
+        pairs = f"{unrecorded} unrecorded pair{'s' if unrecorded > 1 else ''}"
+        of_time = ""
+        if share is not None:
+            of_time = f" ({_printing.share(share)} of the policy's time)"
         sentences.append(f"The interval allows any outcome in {pairs}{of_time}.")
-    return " ".join(
-        [*sentences, *["It lets dropped transitions lead anywhere."] * dropped]
-    )
+    if dropped:
+        sentences.append("It lets dropped transitions lead anywhere.")
+    return " ".join(sentences)
 
 
 def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
-    """Say what sampling noise alone leaves open."""
-    condition = (
-        "If such pairs behave as estimated"
-        if unrecorded
-        else "Without these transitions"
-    )
+    """Say which interval sampling noise alone leaves."""
+    condition = "Without these transitions"
+    if unrecorded:
+        condition = "If such pairs behave as estimated"
     return f"{condition}, the interval is {format_interval(lower, upper)}."
 
 
@@ -342,7 +346,14 @@ def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
 
 def omissions(notes: int, rows: int) -> str:
     """Say what a short report leaves out; "" where that is nothing."""
-    parts = [f"{count(notes, 'more note')} with --verbose"] * bool(notes)
-    parts += [f"{count(rows, 'more row')} with --all"] * bool(rows)
-    options = ", ".join(["verbose=True"] * bool(notes) + ["all=True"] * bool(rows))
-    return f"{' and '.join(parts)} (in Python: to_text({options}))." if parts else ""
+    parts = []
+    options = []
+    if notes:
+        parts.append(f"{count(notes, 'more note')} with --verbose")
+        options.append("verbose=True")
+    if rows:
+        parts.append(f"{count(rows, 'more row')} with --all")
+        options.append("all=True")
+    if not parts:
+        return ""
+    return f"{' and '.join(parts)} (in Python: to_text({', '.join(options)}))."

@@ -1,6 +1,4 @@
-"""The interval beside each value, how far the target is from the simulator, which
-policy is best, what to record next.
-"""
+"""Uncertainty of a report: intervals, tests of the simulator, ranking, and advice."""
 
 from __future__ import annotations
 
@@ -9,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import NormalDist
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -26,26 +24,37 @@ from oee_tabular.inference import (
     compare_policies,
     interval,
 )
-from oee_tabular.inference.comparison import ENOUGH
+from oee_tabular.inference.comparison import MIN_RECORDED_SHARE
 from oee_tabular.inference.evidence import Evidence, gather
+from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.typing import Array
 
-# that can be reached: beyond, likelihood intervals take many minutes, and are left out
+# reachable transitions, beyond which likelihood intervals take many minutes and are
+# left out
 MAX_TRANSITIONS = 10_000_000
-MIN_Z = 3.0  # of the test of all transitions together
-# times the interval from the recorded transitions alone: from there on the report
-# explains both
-MUCH_WIDER = 1.5
-# keys of intervals; shared: under a tie or features
+# standard deviations from which on the test of all transitions together rejects the
+# simulator
+MIN_Z = 3.0
+# the share of all pairs' tests that may reject a correct simulator
+TEST_LEVEL = 0.05
+# width of the quoted interval, over the width from recorded transitions alone, from
+# which on the report explains both
+MIN_WIDTH_RATIO_TO_EXPLAIN = 1.5
+# of the value: a smaller standard error is rounding
+ERROR_TOLERANCE = 1e-12
+# of the ends, which are found by iteration: a value so close to an end is inside
+END_TOLERANCE = 1e-9
+# the keys of a policy's intervals; "shared" is the one under a tie or features
 LIKELIHOOD = "likelihood"
 SHARED = "shared"
 GUARANTEED: Final = "robust"
+# what ``diagnostics["interval_method"]`` calls the intervals that are set here
 NOISE = "standard error"
 OWN = "the estimator's own"
-OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
+OWN_LEVEL = 0.95  # the confidence of the intervals that estimators set themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +63,14 @@ class Premises:
 
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
     which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
-    ``transition_ratio``) add a row with the interval of their own model
+    ``transition_ratio``) add an estimator with the interval of its own model
     (``inference.likelihood``).
     """
 
     lower_ratio: float | None = None
     upper_ratio: float | None = None
-    tie: Any = None
-    features: Any = None
+    tie: TieLike | None = None
+    features: FeaturesLike | None = None
 
     def __post_init__(self) -> None:
         if self.tie is not None and self.features is not None:
@@ -71,13 +80,18 @@ class Premises:
             )
 
     @property
-    def box(self) -> dict[str, Any]:
-        """The box, as ``interval`` takes it."""
+    def has_box(self) -> bool:
+        """Return whether the ratio of probabilities is bounded on either side."""
+        return self.lower_ratio is not None or self.upper_ratio is not None
+
+    @property
+    def box(self) -> dict[str, float | None]:
+        """Return the box as keyword arguments of ``interval``."""
         return {"lower_ratio": self.lower_ratio, "upper_ratio": self.upper_ratio}
 
     def __str__(self) -> str:
-        """The box in words; "" without one."""
-        if self.lower_ratio is None and self.upper_ratio is None:
+        """Return the box in words; "" without one."""
+        if not self.has_box:
             return ""
         lower = self.lower_ratio or 0.0
         upper = "any number of" if self.upper_ratio is None else f"{self.upper_ratio:g}"
@@ -87,33 +101,28 @@ class Premises:
 
     @property
     def estimators(self) -> dict[str, Estimator]:
-        """The estimator that rests on the tie or the features, by name."""
+        """Return the estimator that rests on the tie or the features, by name."""
         if self.tie is not None:
-            return {
-                "oee-tied": OffEnvironment(
-                    partial(transition_ratio, method="tied", tie=self.tie)
-                )
-            }
+            tied = partial(transition_ratio, method="tied", tie=self.tie)
+            return {"oee-tied": OffEnvironment(tied)}
         if self.features is not None:
-            return {
-                "oee-features": OffEnvironment(
-                    partial(transition_ratio, prior="tilt", features=self.features)
-                )
-            }
+            along = partial(transition_ratio, prior="tilt", features=self.features)
+            return {"oee-features": OffEnvironment(along)}
         return {}
 
     def intervals(
         self, problem: Problem, policy: Array, level: float, *, guaranteed: bool
     ) -> dict[str, Interval]:
-        """The intervals of a policy by method; a ValueError where the log contradicts
-        the box, with the pairs.
+        """Compute the intervals of a policy, by their keys.
+
+        Raises ValueError, naming the pairs, where the log contradicts the box.
         """
-        result = {LIKELIHOOD: interval(problem, policy, confidence=level, **self.box)}
-        if str(self) and result[LIKELIHOOD].status != "ok":
+        likelihood = interval(problem, policy, confidence=level, **self.box)
+        if self.has_box and likelihood.status != "ok":
             raise ValueError(
-                "lower_ratio and upper_ratio must fit the log:"
-                f" {result[LIKELIHOOD].status}"
+                f"lower_ratio and upper_ratio must fit the log: {likelihood.status}"
             )
+        result = {LIKELIHOOD: likelihood}
         if guaranteed:
             result[GUARANTEED] = interval(
                 problem, policy, method=GUARANTEED, confidence=level, **self.box
@@ -127,20 +136,28 @@ class Premises:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How sure the log makes the values of policies.
+    """How certain the log makes the values of policies.
 
     Attributes
     ----------
-    intervals : of each policy, by method
-    distance : sentences on how far the target is from the simulator, and why there are
-        no likelihood intervals
-    policies : sentences on the interval of each policy, where there is something to say
-    comparison : of the policies; its intervals of all differences from the best hold at
-        once
-    decision : which policy is best, as far as the log can say
-    ranking : the sentence about it; "" of a single policy
-    next : the sentence on what to record next
-    caveat : a warning before any value; "" where there is nothing
+    intervals : dict of str to dict of str to Interval
+        The intervals of each policy, by policy and method, as discounted sums.
+    distance : tuple of str
+        Sentences on how far the target is from the simulator, and on why there are no
+        likelihood intervals.
+    policies : dict of str to str
+        A sentence on the interval of each policy; "" where there is nothing to say.
+    comparison : Comparison or None
+        The comparison of the policies. Its intervals of all differences from the best
+        cover together.
+    decision : Decision or None
+        Which policy is best, as far as the log can say.
+    ranking : str
+        The sentence about the decision; "" for a single policy.
+    next : str
+        The sentence on what to record next.
+    caveat : str
+        A warning before any value; "" where there is none.
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -154,7 +171,7 @@ class Uncertainty:
 
     @property
     def likelihood(self) -> dict[str, Interval]:
-        """The likelihood interval of each policy that has one."""
+        """Return the likelihood interval of each policy that has one."""
         intervals = {
             name: methods[LIKELIHOOD]
             for name, methods in self.intervals.items()
@@ -164,13 +181,25 @@ class Uncertainty:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a report says below its table."""
+        """Return every sentence: distance, policies, ranking, and what to record."""
+        ends = (sentence for sentence in (self.ranking, self.next) if sentence)
+        return (*self._distance_and_policies, *ends)
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Return the sentences without the ranking, which stands above the table."""
+        last = (self.next,) if self.next else ()
+        return (*self._distance_and_policies, *last)
+
+    @property
+    def _distance_and_policies(self) -> tuple[str, ...]:
+        """Return the sentences on the target's distance and on each policy."""
         about = (
             f"{name}: {sentence}"
             for name, sentence in self.policies.items()
             if sentence
         )
-        return (*self.distance, *about, *filter(None, (self.ranking, self.next)))
+        return (*self.distance, *about)
 
 
 # before the values
@@ -185,8 +214,9 @@ def find_intervals(
     guaranteed: bool,
     quick: bool,
 ) -> Uncertainty:
-    """Test the simulator against the log and compute the intervals of every policy, or
-    say why there are none.
+    """Test the simulator against the log, and compute the intervals of every policy.
+
+    Where there are no intervals, a sentence says why.
     """
     if problem.soft:
         if guaranteed:
@@ -215,7 +245,7 @@ def find_intervals(
 def _reason_without_intervals(
     problem: Problem, evidence: Evidence, *, quick: bool
 ) -> str:
-    """Why there are no likelihood intervals; "" where there are."""
+    """Return why there are no likelihood intervals; "" where there are."""
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         return "at discount 1 they need a horizon"
     if quick:
@@ -230,12 +260,11 @@ def _reason_without_intervals(
 
 
 def _test_simulator(evidence: Evidence) -> str:
-    """In how many pairs the counts reject the simulator, and whether all transitions
-    together do.
+    """Test the simulator against the log, pair by pair and as a whole.
 
-    The pairs' tests are KL balls that hold at any number of transitions, sharing 5%.
-    The test of all together is the score test of the tilt along log P: sum (n - n_sa P)
-    log P over its standard deviation under P.
+    The pairs' tests are KL balls that hold at any number of transitions, and share 5%.
+    The test of all transitions together is the score test of the tilt along log P: sum
+    (n - n_sa P) log P over its standard deviation under P.
     """
     tested = (evidence.n > 0) & evidence.open_rows
     n_tested = int(tested.sum())
@@ -245,9 +274,8 @@ def _test_simulator(evidence: Evidence) -> str:
     n = evidence.n[tested]
     phat = evidence.phat[rows.entries]
     kl = rows.sums(special.rel_entr(phat, rows.weights))
-    rejected = int(
-        (kl > independent_radius(n, np.diff(rows.indptr), 0.05 / n_tested)).sum()
-    )
+    radius = independent_radius(n, np.diff(rows.indptr), TEST_LEVEL / n_tested)
+    rejected = int((kl > radius).sum())
     if rejected:
         return text.pair_rejections(rejected, n_tested)
     phi = rows.center(np.log(rows.weights))
@@ -258,7 +286,7 @@ def _test_simulator(evidence: Evidence) -> str:
 
 
 def descending_key(value: float) -> float:
-    """A key that sorts values from the largest, those that are not finite last."""
+    """Return a key that sorts values from the largest, and nan and infinities last."""
     return -value if math.isfinite(value) else math.inf
 
 
@@ -268,16 +296,15 @@ def descending_key(value: float) -> float:
 def choose_interval(
     estimate: Estimate, likelihood: Interval | None, level: float, scale: float = 1.0
 ) -> Estimate:
-    """The estimate with the interval to quote, a value inside it, and the findings to
-    print.
+    """Give an estimate the interval to quote, a value inside of it, and its findings.
 
-    A value that the log corrects has the likelihood interval, where there is one;
-    outside of it stands no value: its nearer end takes its place (``replaced_value``,
-    ``replaced_by``). Others have the estimator's own interval, at ``level``, or value
-    plus or minus a normal quantile times the standard error, where that counts what
-    matters: not below ``ENOUGH``, not where the variance is not known.
-    ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in
-    the findings.
+    A value that the log corrects has the likelihood interval, where there is one. If
+    the value lies outside, the nearer end replaces it (``replaced_value`` and
+    ``replaced_by`` in the diagnostics). Others have the estimator's own interval, at
+    ``level``, or value ± a normal quantile times the standard error, where that
+    includes what matters: not where ``measured`` is below ``MIN_RECORDED_SHARE``, and
+    not where the variance is unknown. ``diagnostics["interval_method"]`` names the
+    interval. ``scale`` multiplies values in the findings.
     """
     is_corrected = estimate.model_value is not None and not math.isnan(estimate.value)
     if is_corrected and likelihood is not None and likelihood.status == "ok":
@@ -287,18 +314,20 @@ def choose_interval(
     lacks_interval = chosen.interval is None and (
         chosen.standard_error is not None or chosen.status == "ok"
     )
-    findings = [] if chosen.status == "ok" else [no_value(chosen.status, chosen.value)]
+    findings = []
+    if chosen.status != "ok":
+        findings.append(no_value(chosen.status, chosen.value))
     for finding in chosen.findings:
-        words = (
-            finding.alone
-            if lacks_interval and finding.alone is not None
-            else finding.text
-        )
-        findings += [replace(finding, text=words, alone=None)] if words else []
+        words = finding.text
+        if lacks_interval and finding.alone is not None:
+            words = finding.alone
+        if words:
+            findings.append(replace(finding, text=words, alone=None))
     return replace(chosen, findings=tuple(findings))
 
 
 def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
+    """Give an estimate its own interval, or one from its standard error."""
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
     value = estimate.value
     error = estimate.standard_error
@@ -309,10 +338,11 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
         factor = quantile / NormalDist().inv_cdf(0.5 + OWN_LEVEL / 2.0)
         lower, upper = (value + factor * (end - value) for end in estimate.interval)
         return replace(estimate, interval=(lower, upper))
-    if error is None or not math.isfinite(value) or estimate.measured < ENOUGH:
+    is_incomplete = estimate.measured < MIN_RECORDED_SHARE
+    if error is None or is_incomplete or not math.isfinite(value):
         return estimate
-    # 0, to roundoff: what does not vary has no error to show
-    if error <= 1e-12 * abs(value):
+    # what does not vary, but for rounding, has no error to show
+    if error <= ERROR_TOLERANCE * abs(value):
         findings = (*estimate.findings, NEVER_VARIED)
         facts = {"standard_error_of": "log"} | facts
         return replace(
@@ -325,27 +355,30 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
 
 
 def _put_inside(estimate: Estimate, likelihood: Interval, scale: float) -> Estimate:
+    """Give an estimate the likelihood interval, and a value inside of it."""
     lower = likelihood.lower
     upper = likelihood.upper
     value = estimate.value
     facts = estimate.diagnostics | {"interval_method": likelihood.method}
-    room = 1e-9 * max(1.0, abs(lower), abs(upper))  # the ends are found by iteration
-    if lower - room <= value <= upper + room:
+    tolerance = END_TOLERANCE * max(1.0, abs(lower), abs(upper))
+    if lower - tolerance <= value <= upper + tolerance:
         return replace(
             estimate, interval=(min(lower, value), max(upper, value)), diagnostics=facts
         )
-    end, which = (lower, "lower") if value < lower else (upper, "upper")
+    end = upper
+    which = "upper"
+    if value < lower:
+        end = lower
+        which = "lower"
+    facts |= {"replaced_value": value, "replaced_by": f"the interval's {which} end"}
     shown = format(value * scale, _printing.spec(lower * scale, upper * scale))
+    finding = outside(shown, abs(value - end), which)
     return replace(
         estimate,
         value=end,
         interval=(lower, upper),
-        diagnostics=facts
-        | {
-            "replaced_value": value,
-            "replaced_by": f"the interval's {which} end",
-        },
-        findings=(*estimate.findings, outside(shown, abs(value - end), which)),
+        diagnostics=facts,
+        findings=(*estimate.findings, finding),
     )
 
 
@@ -361,10 +394,10 @@ def add_comparison(
     front: Mapping[str, Estimate],
     scale: float,
 ) -> Uncertainty:
-    """Compare the policies; say what the intervals assume, which policy is best, and
-    what to record next.
+    """Compare the policies, and add the sentences that need their values.
 
-    ``front`` are the estimates that stand in front; ``scale`` multiplies values in the
+    They say what the intervals assume, which policy is best, and what to record next.
+    ``front`` are the estimates that stand first; ``scale`` multiplies values in the
     sentences.
     """
     _progress.report_step("comparison of the policies, and what to record next")
@@ -375,9 +408,8 @@ def add_comparison(
     values = {name: estimate.value for name, estimate in front.items()}
     has_ranking = len(values) > 1 and any(map(math.isfinite, values.values()))
     if problem.simulator.discount == 1.0 and problem.horizon is None:
-        return replace(
-            found, policies=about, ranking=text.NEEDS_HORIZON if has_ranking else ""
-        )
+        ranking = text.NEEDS_HORIZON if has_ranking else ""
+        return replace(found, policies=about, ranking=ranking)
     comparison = None
     decision = None
     ranking = ""
@@ -412,6 +444,7 @@ def _rank(
             decision.candidates, len(values), are_equal=decision.are_equal
         )
     best, following = sorted(values, key=lambda name: descending_key(values[name]))[:2]
+    # likelihood intervals that are apart already tell which policy is better
     ours = likelihood.get(best)
     theirs = likelihood.get(following)
     overlap = ours is None or theirs is None or ours.lower <= theirs.upper
@@ -424,27 +457,27 @@ def _rank(
 def _describe(
     intervals: Mapping[str, Interval], coverage: float | None, scale: float
 ) -> str:
-    """What the intervals of a policy assume; ``coverage`` is the share of the policy's
-    time that the log covers.
+    """Say what the intervals of a policy assume.
+
+    ``coverage`` is the share of the policy's discounted time that the log covers.
     """
     quoted = intervals[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."
     dropped = bool(quoted.diagnostics.get("dropped_transitions", 0.0))
     unrecorded = int(quoted.diagnostics["unrecorded_pairs"])
-    sentences = [
-        text.worst_case(
-            unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped
-        )
-    ]
-    if quoted.sampling is not None and quoted.width > MUCH_WIDER * (
-        quoted.sampling[1] - quoted.sampling[0]
-    ):
-        lower, upper = (end * scale for end in quoted.sampling)
-        sentences.append(text.sampling_interval(lower, upper, unrecorded=unrecorded))
+    share = None if coverage is None else 1.0 - coverage
+    sentences = [text.worst_case(unrecorded, share, dropped=dropped)]
+    if quoted.sampling is not None:
+        lower, upper = quoted.sampling
+        if quoted.width > MIN_WIDTH_RATIO_TO_EXPLAIN * (upper - lower):
+            sentences.append(
+                text.sampling_interval(
+                    lower * scale, upper * scale, unrecorded=unrecorded
+                )
+            )
     if GUARANTEED in intervals:
-        ends = text.format_interval(
-            scale * intervals[GUARANTEED].lower, scale * intervals[GUARANTEED].upper
-        )
+        widest = intervals[GUARANTEED]
+        ends = text.format_interval(scale * widest.lower, scale * widest.upper)
         sentences.append(text.INTERVAL_AT_ANY_SIZE.format(ends))
     return " ".join(filter(None, sentences))
