@@ -1,5 +1,4 @@
-"""Confidence intervals, comparisons of policies, and tests of the simulator against the
-log.
+"""Confidence intervals, comparisons of policies, and tests of the simulator.
 
 Given are the simulator P (S, A, S), counts n (S, A, S) of the target's transitions, n_x
 those of a state-action pair x = (s, a) and phat_x = n(x, .) / n_x, a policy pi (S, A),
@@ -9,11 +8,12 @@ s') + gamma V(s')).
 
 *The quoted interval* (``likelihood``, kernels in ``_likelihood``):
 
-    {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},   rows without data anything that simulator or box allow,
+    {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},
 
-at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an
-end. ``Interval.sampling`` beside it takes rows without data as estimated.
-``shared_ends``: the same where rows share parameters (a tie, features).
+where rows without data are anything that simulator or box allow, at the confidence
+asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an end.
+``Interval.sampling`` beside it takes rows without data as estimated. ``shared_ends``:
+the same where rows share parameters (a tie, features).
 
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows
 without data are the simulator's.
@@ -69,6 +69,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    """Import a name of the rooms ``theory`` and ``design`` on use."""
     for room in ("theory", "design"):
         module = importlib.import_module(f"oee_tabular.{room}")
         if name in module.__all__:

@@ -1,5 +1,4 @@
-"""Large-sample errors of the maximum-likelihood model: covariances by the delta method,
-and the bootstrap.
+"""Large-sample errors of the maximum-likelihood model: delta method and bootstrap.
 
 An interval is widened for transitions outside the simulator's support, and for a
 simulator that was made of samples itself.
@@ -7,19 +6,22 @@ simulator that was made of samples itself.
 Of the transitions from (s, a) the target may make a share q_sa that the simulator rules
 out, to any state at all:
 
-    q_sa = f / (m + n)          Good and Turing's estimate of the probability of transitions never met [1]: m samples of the
-                                simulator and n of the log, f of them met once; 1 in a row without any, which was filled in
-         + k / (k + n)          k transitions of the log dropped as impossible (``Problem(impossible="drop")``)
+    q_sa = f / (m + n) + k / (k + n).
+
+The first term is Good and Turing's estimate of the probability of transitions never met
+[1], with m samples of the simulator and n of the log, f of the transitions met once; it
+is 1 in a row without any, which was filled in. In the second, k transitions of the log
+were dropped as impossible (``Problem(impossible="drop")``).
 
 To first order, at the maximum-likelihood model with D_sa the discounted time in (s, a),
 they take or add at most
 
-    sum_sa D_sa q_sa |extreme over all states and rewards of r + gamma V - E_p (r + gamma V)|
+    sum_sa D_sa q_sa abs(extreme of r + gamma V - E_p (r + gamma V)),
 
-(with a horizon the sum goes over steps too, V having those that are left). That is a
-band and no bound: where q is large, transitions that lead to where q is large again may
-lead further. A simulator's own sampling (``FiniteMDP.from_env``, ``from_log``) adds the
-variance
+the extreme over all states and rewards (with a horizon the sum goes over steps too, V
+having those that are left). That is a band and no bound: where q is large, transitions
+that lead to where q is large again may lead further. A simulator's own sampling
+(``FiniteMDP.from_env``, ``from_log``) adds the variance
 
     Var_mu(V) / m_starts + sum_sa,s' (D_sa p_s')^2 Var(mean reward of the transition).
 
@@ -31,7 +33,7 @@ The bootstrap: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 199
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -45,15 +47,16 @@ from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
 from oee_tabular.mdp.horizons import horizon_length, total_discount
 from oee_tabular.typing import Array, Seed
 
-FEWEST_EPISODES = 10
+MIN_EPISODES = 10  # that a bootstrap of episodes resamples
 
 
 def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, Array]:
-    """Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), (k, k) each of the rows that
-    the log has, and of those it has not.
+    """Compute the covariances of several values by the delta method.
 
-    Cov_x is under (n_x phat + prior * P) / (n_x + prior), G the gradient of J at the
-    maximum-likelihood model.
+    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1). Cov_x is under (n_x phat +
+    prior * P) / (n_x + prior), and G is the gradient of J at the maximum-likelihood
+    model. Two matrices (k, k) are returned: the sums over rows that the log has, and
+    over the others.
     """
     first = evidences[0]
     rows = first.rows
@@ -72,10 +75,16 @@ def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, A
 
 
 def bootstrap_values(
-    problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed
+    problem: Problem,
+    evidence: Evidence,
+    *,
+    by: Literal["transitions", "episodes"],
+    n_bootstrap: int,
+    seed: Seed,
 ) -> Array:
-    """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes;
-    rows without data the simulator's.
+    """Compute J of the models of resampled transitions, or of resampled episodes.
+
+    Rows without data in a resample are the simulator's.
     """
     generator = _checks.generator(seed)
     log = problem.log
@@ -99,30 +108,28 @@ def bootstrap_values(
             raise ArgumentError(
                 "log", "must have episodes to be resampled by episodes; it has none"
             )
-        if n_episodes < FEWEST_EPISODES:
+        if n_episodes < MIN_EPISODES:
             raise ArgumentError(
                 "log",
-                f"must have at least {FEWEST_EPISODES} episodes to be resampled by"
+                f"must have at least {MIN_EPISODES} episodes to be resampled by"
                 f" episodes; it has {n_episodes}",
             )
         episode = np.repeat(np.arange(n_episodes), np.diff(starts))
     share = np.bincount(entry, weights=weight, minlength=size) / n
     taken = PolicyRows.from_evidence(evidence)
     values = np.empty(n_bootstrap)
+    # the compiled evaluation is for few states, and needs a sum that converges
     is_quick = not taken.is_sparse and (taken.n_steps > 0 or taken.discount < 1.0)
     for b in range(n_bootstrap):
         if by == "episodes":
-            number = np.bincount(
-                generator.integers(0, n_episodes, n_episodes), minlength=n_episodes
-            )
-            drawn = np.bincount(entry, weights=number[episode], minlength=size).astype(
-                np.float64
-            )
+            chosen = generator.integers(0, n_episodes, n_episodes)
+            number = np.bincount(chosen, minlength=n_episodes)
+            drawn = np.bincount(entry, weights=number[episode], minlength=size)
         else:
-            drawn = generator.multinomial(n, share).astype(np.float64)
-        p = np.where(
-            rows.spread(rows.sums(drawn)) > 0, rows.frequencies(drawn), rows.weights
-        )
+            drawn = generator.multinomial(n, share)
+        drawn = drawn.astype(np.float64)
+        has_data = rows.spread(rows.sums(drawn)) > 0
+        p = np.where(has_data, rows.frequencies(drawn), rows.weights)
         if is_quick:
             values[b] = value_of_rows(taken, p[taken.entries])
         else:
@@ -133,8 +140,10 @@ def bootstrap_values(
 
 
 class Margin(NamedTuple):
-    """J of the frequencies, the variance that the simulator's sampling adds, and what
-    the band takes and adds.
+    """By how much an interval widens for what the simulator may lack.
+
+    ``value`` is J of the frequencies, ``variance`` what the simulator's sampling adds,
+    ``down`` and ``up`` what transitions outside of its support take and add.
     """
 
     value: float
@@ -144,25 +153,21 @@ class Margin(NamedTuple):
     diagnostics: dict[str, float]
 
     def widen(self, lower: float, upper: float, z: float) -> tuple[float, float]:
-        """The ends for this simulator, from those for one that is known and rules
-        nothing out wrongly.
+        """Widen the ends of an interval.
+
+        They are those for a simulator that is known and rules nothing out wrongly.
         """
         spread = z * np.sqrt(self.variance)
-        low = (
-            self.value
-            - float(np.hypot(max(self.value - lower, 0.0), spread))
-            - self.down
-        )
-        return (
-            low,
-            self.value
-            + float(np.hypot(max(upper - self.value, 0.0), spread))
-            + self.up,
-        )
+        below = float(np.hypot(max(self.value - lower, 0.0), spread))
+        above = float(np.hypot(max(upper - self.value, 0.0), spread))
+        return self.value - below - self.down, self.value + above + self.up
 
 
 def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
-    """None where the simulator is known and nothing was dropped."""
+    """Compute the margin of a problem; None where nothing needs one.
+
+    That is where the simulator is known and no transition was dropped.
+    """
     sampling = problem.simulator.sampling
     if sampling is None and not problem.dropped.any():
         return None
@@ -177,10 +182,8 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
         initial = evidence.model.initial
         values = state_values(fitted, policy, horizon=horizon)
         unmet = _unmet_share(evidence, sampling.pairs)
-        variance = (
-            max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0)
-            / sampling.starts
-        )
+        spread = float(initial @ values**2) - float(initial @ values) ** 2
+        variance = max(spread, 0.0) / sampling.starts
         if sampling.reward_error is not None:
             time = total_discount(fitted.discount, horizon) * share
             each, _ = align(sampling.reward_error, evidence.model.transitions)
@@ -198,14 +201,14 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
             "dropped_transitions": float(problem.dropped.sum()),
             "dropped_share": float(share @ dropped),
         }
-    return Margin(
-        policy_value(fitted, policy, horizon=horizon), variance, down, up, facts
-    )
+    value = policy_value(fitted, policy, horizon=horizon)
+    return Margin(value, variance, down, up, facts)
 
 
 def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
-    """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's
-    samples, inf where it is known.
+    """Estimate the share (S*A,) of transitions never met, after Good and Turing.
+
+    ``pairs`` are the simulator's samples of each row, inf where it is known.
     """
     rows = evidence.rows
     known = ~np.isfinite(pairs)
@@ -219,7 +222,10 @@ def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
 
 
 def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
-    """What a share q (S*A,) of transitions to any state takes and adds, to first order."""
+    """Compute what a share q (S*A,) of transitions to any state takes and adds.
+
+    It is of first order in q.
+    """
     policy = evidence.policy
     fitted = evidence.fitted
     gamma = evidence.fitted.discount
@@ -230,32 +236,26 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
     values = np.zeros(len(policy))
     beyond = np.zeros((len(policy), 2))
     for _ in range(horizon_length(evidence.horizon, fitted)):
-        ahead = q[:, None] * _reach(evidence, values) + gamma * (
-            fitted.transitions @ beyond
-        )
+        later = gamma * (fitted.transitions @ beyond)
+        ahead = q[:, None] * _reach(evidence, values) + later
         beyond = np.einsum("sa,sak->sk", policy, ahead.reshape(*policy.shape, 2))
-        values = (
-            policy
-            * (
-                fitted.rewards
-                + gamma * (fitted.transitions @ values).reshape(policy.shape)
-            )
-        ).sum(axis=1)
+        following = (fitted.transitions @ values).reshape(policy.shape)
+        values = (policy * (fitted.rewards + gamma * following)).sum(axis=1)
     down, up = fitted.initial @ beyond
     return float(down), float(up)
 
 
 def _reach(evidence: Evidence, values: Array) -> Array:
-    """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ
-    from the row's own mean.
+    """Compute how far the extremes of r + gamma V lie from each row's mean, (S*A, 2).
+
+    The first column is for the worst transition, the second for the best.
     """
     rewards = evidence.model.reward_data
     gamma = evidence.model.discount
     # r(s, a) is the row's own wherever the transition leads
     rewards_or_0 = np.zeros(1) if rewards is None else rewards
-    mean = evidence.rows.mean(
-        evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0
-    )
+    ahead = gamma * values[evidence.rows.arrival] + rewards_or_0
+    mean = evidence.rows.mean(evidence.phat, ahead)
     worst = gamma * values.min() + rewards_or_0.min()
     best = gamma * values.max() + rewards_or_0.max()
     return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

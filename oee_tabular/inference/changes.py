@@ -1,11 +1,10 @@
-"""Where the target differs significantly from the simulator: a lower bound on the
-change in every recorded pair.
+"""Where the target differs from the simulator: a lower bound on every pair's change.
 
 With the confidence asked for, all rows at once satisfy KL(phat || P_target) <= epsilon
-(the balls of ``interval(method= "robust")``). A set A of next states has, by the
-data-processing inequality, kl(phat(A), P_target(A)) <= epsilon as well, so P_target(A)
->= l, the smaller root of kl(phat(A), l) = epsilon, and the total variation between the
-rows is at least l - P(A). A is where the log has more than the simulator, {phat > P}.
+(the balls of ``interval(method="robust")``). By the data-processing inequality, a set A
+of next states has kl(phat(A), P_target(A)) <= epsilon as well. So P_target(A) >= l, the
+smaller root of kl(phat(A), l) = epsilon, and the total variation between the rows is at
+least l - P(A). A is where the log has more than the simulator, {phat > P}.
 """
 
 from __future__ import annotations
@@ -22,25 +21,43 @@ from oee_tabular.inference.robust import anytime_radius, independent_radius
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.typing import Array, IntArray
 
+N_BISECTIONS = 60  # of [0, 1], to more than a double's 53 bits
+
 
 @dataclass(frozen=True, eq=False)
 class RowChanges:
-    """The distance of each pair from the simulator in total variation, the share of
-    transitions that end elsewhere.
+    """The distance in total variation of each pair in the target from the simulator.
+
+    The distance is the share of transitions that end elsewhere.
 
     Attributes
     ----------
-    certain : (S, A) in [0, 1]: at least so much, all at once, with ``confidence``; 0
-        where nothing is certain
-    estimated : (S, A) between the log's frequencies and the simulator; 0 without
-        transitions
-    counts : (S, A) transitions of the log
-    evidence : (S, A) nats, n KL(phat || P): the evidence of the pair's own transitions
-        against the simulator
-    next_state : (S, A) where the log's frequency differs most, -1 without transitions
-    simulated, observed : (S, A) its probability in the simulator and its frequency in
-        the log; nan without transitions
-    confidence, tested : of all rows together; how many they are
+    certain : ndarray of shape (S, A)
+        A lower bound in [0, 1] on the distance; all bounds hold at once with
+        ``confidence``. 0 where nothing is certain.
+    estimated : ndarray of shape (S, A)
+        The distance in [0, 1] between the log's frequencies and the simulator; 0
+        without transitions.
+    counts : ndarray of shape (S, A)
+        The number of transitions in the log.
+    evidence : ndarray of shape (S, A)
+        The evidence of the pair's own transitions against the simulator, n KL(phat ||
+        P), in nats.
+    next_state : ndarray of shape (S, A)
+        The next state whose frequency in the log differs most from the simulator; -1
+        without transitions.
+    simulated : ndarray of shape (S, A)
+        The probability of this next state in the simulator; nan without transitions.
+    observed : ndarray of shape (S, A)
+        The frequency of this next state in the log; nan without transitions.
+    confidence : float
+        The level at which all bounds hold together, in (0, 1).
+    tested : int
+        The number of pairs that were tested: recorded, with more than one next state.
+
+    See Also
+    --------
+    row_changes : Compute these changes.
 
     Examples
     --------
@@ -62,12 +79,23 @@ class RowChanges:
 
     @property
     def n_certain(self) -> int:
-        """In how many (s, a) the target differs for certain."""
+        """Return in how many pairs the target differs for certain."""
         return int((self.certain > 0).sum())
 
     def largest(self, k: int = 10) -> list[tuple[int, int]]:
-        """The k pairs (s, a) with the largest certain change (the more evidence first
-        among equals); none that are 0.
+        """Return the pairs with the largest certain change.
+
+        Among equal changes the pair with more evidence comes first.
+
+        Parameters
+        ----------
+        k : int, default 10
+            The number of pairs, at most. Pairs without a certain change are left out.
+
+        Returns
+        -------
+        list of (int, int)
+            The pairs (state, action), the largest change first.
         """
         number = _checks.positive_integer(k, "k")
         flat = self.certain.reshape(-1)
@@ -82,12 +110,28 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     Parameters
     ----------
     problem : Problem
-    confidence : that every bound holds, in (0, 1)
+        The simulator and the log of the target.
+    confidence : float, default 0.95
+        The probability in (0, 1) that every bound holds.
+
+    Returns
+    -------
+    RowChanges
+        The bounds and the estimated changes, in total variation.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range.
+
+    See Also
+    --------
+    interval : Compute an interval for J; its robust method uses the same KL balls.
 
     Notes
     -----
     Radii are "anytime" for a log with episodes, "independent" otherwise, as in
-    ``interval``; they share 1 - confidence evenly among the rows with data and more
+    ``interval``. They share 1 - confidence evenly among the rows with data and more
     than one next state. Cost: O(nnz).
 
     Examples
@@ -108,7 +152,7 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     phat = evidence.phat
     rows = evidence.rows
     simulated = evidence.rows.weights
-    tested = (n > 0) & evidence.open_rows
+    tested = (n > 0) & evidence.is_stochastic
     have = n > 0
     shape = evidence.policy.shape
     number = int(tested.sum())
@@ -116,12 +160,13 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     epsilon = radius(n, np.diff(rows.indptr), (1.0 - level) / max(number, 1))
     more = phat > simulated
     change = np.abs(phat - simulated)
-    seen_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
-    least = lower_mass(seen_mass, epsilon) - rows.sums(np.where(more, simulated, 0.0))
+    observed_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
+    simulated_mass = rows.sums(np.where(more, simulated, 0.0))
+    least = lower_mass(observed_mass, epsilon) - simulated_mass
     is_largest = change == rows.spread(rows.largest(change))
-    entry = np.minimum.reduceat(
-        np.where(is_largest, np.arange(len(change)), len(change)), rows.indptr[:-1]
-    )
+    # the first entry of each row that has its largest change
+    entries = np.where(is_largest, np.arange(len(change)), len(change))
+    entry = np.minimum.reduceat(entries, rows.indptr[:-1])
     return RowChanges(
         np.where(tested, np.maximum(least, 0.0), 0.0).reshape(shape),
         np.where(have, 0.5 * rows.sums(change), 0.0).reshape(shape),
@@ -136,17 +181,16 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
 
 
 def lower_mass(frequency: Array, epsilon: Array) -> Array:
-    """The smallest p with kl(frequency, p) <= epsilon, binary; rounded down. Bisection,
-    O(60) passes.
+    """Compute the smallest p with binary kl(frequency, p) <= epsilon, rounded down.
+
+    It takes 60 bisections.
     """
     low = np.zeros(len(frequency))
     high = np.array(frequency)
-    for _ in range(60):
+    for _ in range(N_BISECTIONS):
         middle = 0.5 * (low + high)
-        outside = (
-            rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle)
-            > epsilon
-        )
+        kl = rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle)
+        outside = kl > epsilon
         low = np.where(outside, middle, low)
         high = np.where(outside, high, middle)
     return low

@@ -1,6 +1,4 @@
-"""Several policies from one log: differences with their correlation kept, a ranking,
-and how well estimates rank policies.
-"""
+"""Comparisons of several policies on one log: differences, ranking, and P(best)."""
 
 from __future__ import annotations
 
@@ -11,7 +9,6 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
@@ -29,14 +26,16 @@ from oee_tabular.inference.intervals import Interval
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.plots import plot_intervals
-from oee_tabular.typing import Array, Seed
+from oee_tabular.typing import Array, PoliciesLike, RealArrayLike, Seed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# of a policy's time in pairs that the log has: below it what counts the log's noise
-# alone says nothing
-ENOUGH = 0.9
+# the share of a policy's discounted time in recorded pairs from which on an interval or
+# P(best) that counts sampling noise alone is trusted
+MIN_RECORDED_SHARE = 0.9
+# of the largest value: smaller differences are rounding
+EQUALITY_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -45,12 +44,19 @@ class Decision:
 
     Attributes
     ----------
-    candidates : the policies that are not significantly worse than another, largest
-        value first
-    are_equal : whether several candidates agree in all that affects J
-    probability_best : policy -> P(best); None if the log cannot say
-    margin : by how much the best exceeds the next, and an interval: (difference, lower,
-        upper); None without a best
+    candidates : tuple of str
+        The policies that are not significantly worse than another, largest value first.
+    are_equal : bool
+        Whether several candidates agree in all that affects J.
+    probability_best : dict of str to float or None
+        P(best) of each policy, in [0, 1]; None if the log cannot say.
+    margin : (float, float, float) or None
+        By how much the best exceeds the next, in the unit of J: (difference, lower,
+        upper). None without a best.
+
+    See Also
+    --------
+    Comparison.decide : Make the decision.
 
     Examples
     --------
@@ -69,30 +75,46 @@ class Decision:
 
     @property
     def best(self) -> str | None:
-        """The policy that is worth most; None where the log cannot say, or several are
-        worth the same.
+        """Return the name of the policy that is worth most.
+
+        None where the log cannot say, or where several are worth the same.
         """
         return self.candidates[0] if len(self.candidates) == 1 else None
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Policies on one log.
+    """The values of several policies on one log, and their differences.
 
     Attributes
     ----------
-    names : the policies, best estimated value first
-    values, standard_errors : (k,) of the maximum-likelihood model
-    differences : (k, k) value of the row's policy minus that of the column's
-    lower, upper : (k, k) intervals for the differences, at ``confidence``
-    probability_best : (k,) P(best): the probability that the policy has the largest
-        value, under the values' joint normal distribution (or the bootstrap's);
-        ``decide`` gives it only where the log covers the policies
-    covariance : (k, k) of the values
-    unrecorded_share : (k,) in [0, 1], the share of each policy's discounted time in
-        states that can be left that is in unrecorded stochastic pairs or in dropped
-        transitions
-    confidence : of ``lower`` and ``upper``, each by itself
+    names : tuple of str
+        The policies, best estimated value first.
+    values : ndarray of shape (k,)
+        Their values in the maximum-likelihood model, discounted sums.
+    standard_errors : ndarray of shape (k,)
+        The standard errors of the values.
+    differences : ndarray of shape (k, k)
+        The value of the row's policy minus that of the column's.
+    lower : ndarray of shape (k, k)
+        Lower ends of the intervals for the differences.
+    upper : ndarray of shape (k, k)
+        Upper ends of the intervals for the differences.
+    probability_best : ndarray of shape (k,)
+        P(best): the probability that the policy has the largest value, under the
+        values' joint normal distribution (or the bootstrap's). ``decide`` gives it only
+        where the log covers the policies.
+    covariance : ndarray of shape (k, k)
+        The covariance of the values.
+    unrecorded_share : ndarray of shape (k,)
+        The share in [0, 1] of each policy's discounted time, in states that can be
+        left, that is in unrecorded stochastic pairs or in dropped transitions.
+    confidence : float
+        The level of each interval by itself, in (0, 1).
+
+    See Also
+    --------
+    compare_policies : Compute the comparison.
 
     Examples
     --------
@@ -119,58 +141,66 @@ class Comparison:
         values: Mapping[str, float] | None = None,
         intervals: Mapping[str, Interval] | None = None,
     ) -> Decision:
-        """Say which policy is worth most: one rule for the ranking, P(best) and every
-        sentence.
-
-        One policy is significantly better than another if the interval of their
-        difference says so and the log has ``ENOUGH`` of both policies' time, or where
-        likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of
-        every policy's time, unless it contradicts the ranking: no policy is best but
-        P(best) exceeds the confidence of all differences, or one is best (by likelihood
-        intervals) and P(best) is below that confidence.
+        """Decide which policy is worth most: one rule for the ranking and P(best).
 
         Parameters
         ----------
-        values : policy -> the value that is shown; None: the comparison's own
-        intervals : policy -> likelihood interval, where there is one
+        values : dict of str to float, optional
+            The value of each policy that is shown. None takes the comparison's own.
+        intervals : dict of str to Interval, optional
+            The likelihood interval of each policy that has one.
+
+        Returns
+        -------
+        Decision
+            The candidates, P(best), and the margin of the best.
+
+        Notes
+        -----
+        One policy is significantly better than another if the interval of their
+        difference says so and at least ``MIN_RECORDED_SHARE`` (90%) of both policies'
+        time is in recorded pairs, or where likelihood intervals say so.
+
+        P(best) is given where at least 90% of every policy's time is in recorded pairs,
+        unless it contradicts the ranking: no policy is best but P(best) exceeds the
+        confidence of all differences, or one is best (by likelihood intervals) and its
+        P(best) is below that confidence.
         """
-        shown = (
-            dict(zip(self.names, self.values.tolist(), strict=True))
-            if values is None
-            else values
-        )
+        if values is None:
+            values = dict(zip(self.names, self.values.tolist(), strict=True))
+        shown = values
         known = intervals or {}
         place = self.names.index
-        order = sorted(
-            shown,
-            key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf,
-        )
+
+        def descending(name: str) -> float:
+            """Return a key that sorts policies by value, largest first and nan last."""
+            return -shown[name] if math.isfinite(shown[name]) else math.inf
+
+        order = sorted(shown, key=descending)
 
         def is_better(one: str, other: str) -> bool:
+            """Return whether one policy is significantly better than another."""
             return self.bounds(one, other, known)[0] > 0
 
         candidates = [
             a for a in order if a == order[0] or not any(is_better(b, a) for b in order)
         ]
-        rows = np.ix_(*[[place(name) for name in candidates]] * 2)
+        places = [place(name) for name in candidates]
+        rows = np.ix_(places, places)
         scale = max((abs(x) for x in shown.values() if math.isfinite(x)), default=0.0)
         is_one = len(candidates) == 1
-        are_equal = not is_one and bool(
-            np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale
-        )
+        largest_end = np.abs([self.lower[rows], self.upper[rows]]).max()
+        are_equal = not is_one and bool(largest_end <= EQUALITY_TOLERANCE * scale)
+        # the confidence of all differences from the best together
         level = 1.0 - (len(order) - 1) * (1.0 - self.confidence)
-        is_sure = (
-            self.probability_best.max() > level
-            if not is_one
-            else self.probability_best[place(candidates[0])] > level
-        )
-        says = self.unrecorded_share.max() <= 1.0 - ENOUGH and (
-            are_equal or is_sure == is_one
-        )
-        best = {
-            name: float(self.probability_best[place(name)]) if says else None
-            for name in order
-        }
+        largest_probability = self.probability_best.max()
+        if is_one:
+            largest_probability = self.probability_best[places[0]]
+        is_recorded = self.unrecorded_share.max() <= 1.0 - MIN_RECORDED_SHARE
+        agrees = are_equal or (largest_probability > level) == is_one
+        best: dict[str, float | None] = dict.fromkeys(order)
+        if is_recorded and agrees:
+            best = {name: float(self.probability_best[place(name)]) for name in order}
         if not is_one:
             return Decision(tuple(candidates), are_equal, best, None)
         one, other = order[:2]
@@ -186,82 +216,104 @@ class Comparison:
     def bounds(
         self, one: str, other: str, intervals: Mapping[str, Interval] | None = None
     ) -> tuple[float, float]:
-        """An interval for the value of one policy minus that of another, which includes
-        unrecorded pairs.
-
-        The paired one where the log has ``ENOUGH`` of both policies' time, the
-        difference of the likelihood intervals' ends else; of two that there are, one
-        that tells the policies apart, or the shorter. nan without either.
+        """Return an interval for the value of one policy minus that of another.
 
         Parameters
         ----------
-        one, other : names of two policies
-        intervals : policy -> likelihood interval, where there is one
+        one : str
+            The name of the first policy.
+        other : str
+            The name of the policy whose value is subtracted.
+        intervals : dict of str to Interval, optional
+            The likelihood interval of each policy that has one.
+
+        Returns
+        -------
+        tuple of (float, float)
+            Lower and upper end, in the unit of J; nan where the log cannot say.
+
+        Notes
+        -----
+        The interval includes unrecorded pairs. It is the paired one where at least
+        ``MIN_RECORDED_SHARE`` (90%) of both policies' time is in recorded pairs,
+        otherwise the difference of the likelihood intervals' ends. Of two that there
+        are, it is the one that tells the policies apart, or the shorter.
         """
         i = self.names.index(one)
         j = self.names.index(other)
-        ours, theirs = ((intervals or {}).get(name) for name in (one, other))
-        separate = (
-            (np.nan, np.nan)
-            if ours is None or theirs is None
-            else (ours.lower - theirs.upper, ours.upper - theirs.lower)
-        )
-        if max(self.unrecorded_share[[i, j]]) > 1.0 - ENOUGH:
+        known = intervals or {}
+        ours = known.get(one)
+        theirs = known.get(other)
+        separate = (np.nan, np.nan)
+        if ours is not None and theirs is not None:
+            separate = (ours.lower - theirs.upper, ours.upper - theirs.lower)
+        if max(self.unrecorded_share[[i, j]]) > 1.0 - MIN_RECORDED_SHARE:
             return separate
         paired = float(self.lower[i, j]), float(self.upper[i, j])
-        return min(
-            paired,
-            separate,
-            key=lambda ends: (
-                not ends[0] > 0,
-                not ends[1] - ends[0] < math.inf,
-                ends[1] - ends[0],
-            ),
-        )
+
+        def preference(ends: tuple[float, float]) -> tuple[bool, bool, float]:
+            """Return a key: first what tells the policies apart, then the shorter."""
+            width = ends[1] - ends[0]
+            return not ends[0] > 0, not width < math.inf, width
+
+        return min(paired, separate, key=preference)
 
     def __str__(self) -> str:
         width = max(len(name) for name in self.names)
-        lines = [
-            f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip()
-            for row in self._rows()
-        ]
-        return "\n".join(
-            [
-                *lines,
-                f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%",
-            ]
-        )
+        lines = []
+        for name, value, error, best, difference in self._rows():
+            line = f"{name:<{width}}  {value:>10}  {error:>10}  {best:>7}  {difference}"
+            lines.append(line.rstrip())
+        level = f"{100 * self.confidence:.4g}%"
+        lines.append(f"values: {_printing.SUM}; intervals at {level}")
+        return "\n".join(lines)
 
     def _rows(self) -> list[list[str]]:
-        """The header, then a row each policy; P(best) is left out where the log cannot
-        say.
+        """Return the header, and a row for each policy.
+
+        P(best) is left out where the log cannot say.
         """
         rows = [
             ["policy", "value", "std. error", "P(best)", "difference from the best"]
         ]
         best = self.decide().probability_best
         for i, name in enumerate(self.names):
-            difference = ""
-            share = best[name]
+            probability = best[name]
             ends = (self.lower[i, 0], self.upper[i, 0])
+            difference = ""
             if i:
-                difference = (
-                    f"{self.differences[i, 0]:{_printing.spec(*ends)}}"
-                    f" {_printing.interval(*ends)}"
-                )
-            numbers = f"{self.values[i]:.5g}", f"{self.standard_errors[i]:.2g}"
+                shown = format(self.differences[i, 0], _printing.spec(*ends))
+                difference = f"{shown} {_printing.interval(*ends)}"
             rows.append(
-                [name, *numbers, "-" if share is None else f"{share:.1%}", difference]
+                [
+                    name,
+                    f"{self.values[i]:.5g}",
+                    f"{self.standard_errors[i]:.2g}",
+                    "-" if probability is None else f"{probability:.1%}",
+                    difference,
+                ]
             )
         return rows
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw by how much each policy differs from the best, with its interval;
-        without ``ax`` on new axes.
+        """Draw by how much each policy differs from the best, with its interval.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            The axes to draw on. None makes new ones.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes with the picture.
         """
         ends = self.differences[1:, 0], self.lower[1:, 0], self.upper[1:, 0]
         names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
         best = self.decide().best
+        title = "The log cannot say which policy is worth most"
+        if best is not None:
+            title = f"“{best}” is worth most"
         return plot_intervals(
             names,
             *ends,
@@ -269,11 +321,7 @@ class Comparison:
             truth=0.0,
             truth_label="no difference:",
             xlabel="difference (discounted sum of rewards)",
-            title=(
-                "The log cannot say which policy is worth most"
-                if best is None
-                else f"“{best}” is worth most"
-            ),
+            title=title,
         )
 
     def _repr_html_(self) -> str:
@@ -287,7 +335,7 @@ class Comparison:
 @one_thread
 def compare_policies(
     problem: Problem,
-    policies: object,
+    policies: PoliciesLike,
     *,
     method: Literal["delta", "bootstrap"] = "delta",
     confidence: float = 0.95,
@@ -297,31 +345,62 @@ def compare_policies(
     n_bootstrap: int = 400,
     seed: Seed = 0,
 ) -> Comparison:
-    """Compare the values of policies on the same log: differences with intervals, and
-    P(best).
+    """Compare the values of policies on one log, with intervals and P(best).
 
-    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), G the gradient of J at the
-    maximum-likelihood model, Cov_x under the frequencies with one simulated transition
-    added, (n_x phat + P) / (n_x + 1) ("delta"): an unrecorded pair is as uncertain as
-    one transition would leave it, and a pair recorded once is not certain. With
-    "bootstrap" the covariance is over common resamples of the transitions, with
-    unrecorded pairs as before. Differences are known much more precisely than values if
-    the policies visit the same pairs.
+    Differences are known much more precisely than values if the policies visit the same
+    pairs.
 
     Parameters
     ----------
     problem : Problem
-    policies : two or more, a mapping name -> policy or a list of them
-    method, confidence, lower_ratio, upper_ratio : as in ``interval``
-    n_draws : draws of the joint normal distribution behind ``probability_best``
-        ("delta")
-    n_bootstrap, seed : of the bootstrap, and of the draws
+        The simulator, the log of the target, and the horizon.
+    policies : PoliciesLike
+        A list of two or more policies, or a mapping from names to policies.
+    method : {'delta', 'bootstrap'}, default 'delta'
+        How the covariance of the values is estimated: by the delta method, or over
+        common resamples of the transitions.
+    confidence : float, default 0.95
+        The level of each interval by itself, in (0, 1).
+    lower_ratio : float, optional
+        Lower bound in [0, 1] of the box lower_ratio * P <= P_target <= upper_ratio * P.
+        None sets no lower bound.
+    upper_ratio : float, optional
+        Upper bound of at least 1 of the box. None sets no upper bound.
+    n_draws : int, default 10000
+        The number of draws of the joint normal distribution behind
+        ``probability_best``, for "delta".
+    n_bootstrap : int, default 400
+        The number of resamples, for "bootstrap".
+    seed : Seed, default 0
+        The seed of the draws and of the resamples.
+
+    Returns
+    -------
+    Comparison
+        Values, differences with intervals, and P(best), in the unit of J.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two policies, or if an argument is out of its range.
+
+    See Also
+    --------
+    interval : Compute a confidence interval for one policy.
+    oee_tabular.report.contest : Compare policies, with sentences and pictures.
 
     Notes
     -----
+    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), with G the gradient of J at the
+    maximum-likelihood model, and Cov_x under the frequencies with one simulated
+    transition added, (n_x phat + P) / (n_x + 1) ("delta"). So an unrecorded pair is as
+    uncertain as one transition would leave it, and a pair recorded once is not certain.
+    With "bootstrap" the covariance is over common resamples of the transitions, with
+    unrecorded pairs as before.
+
     In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so no pair
     changes the mean of G by more than the root of that times its standard deviation
-    under P: the most that an unrecorded pair adds to a standard error.
+    under P. That is the most that an unrecorded pair adds to a standard error.
 
     Dropped transitions, and a simulator that was sampled, widen each difference by the
     most that they can change either value; P(best) ignores them.
@@ -355,42 +434,36 @@ def compare_policies(
         [policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences]
     )
     recorded, never = value_covariances(evidences, prior=1.0)
-    room = (1.0 - (lower_ratio or 0.0)) * (
-        (np.inf if upper_ratio is None else upper_ratio) - 1.0
-    )
-    never = never * min(1.0, room)
+    nu = lower_ratio or 0.0
+    mu = np.inf if upper_ratio is None else upper_ratio
+    # the most that a box leaves of the variance in unrecorded pairs
+    never = never * min(1.0, (1.0 - nu) * (mu - 1.0))
     generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never
-        draws = (
-            values
-            + generator.standard_normal((number, len(values))) @ _root(covariance).T
-        )
+        normal = generator.standard_normal((number, len(values)))
+        draws = values + normal @ _root(covariance).T
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        fixed = int(generator.integers(1 << 62))  # the same resamples for every policy
-        draws = np.column_stack(
-            [
-                bootstrap_values(
-                    problem, e, by="transitions", n_bootstrap=number, seed=fixed
-                )
-                for e in evidences
-            ]
-        )
+        # the same resamples for every policy keep the correlation of their values
+        fixed = int(generator.integers(1 << 62))
+        resampled = [
+            bootstrap_values(
+                problem, e, by="transitions", n_bootstrap=number, seed=fixed
+            )
+            for e in evidences
+        ]
+        draws = np.column_stack(resampled)
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
-    is_top = (
-        draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
-    )  # equals but for rounding share a draw
-    best = np.sum(is_top / is_top.sum(axis=1, keepdims=True), axis=0) / len(draws)
+    best = _probability_best(draws)
     order = np.argsort(-values, kind="stable")
     values = values[order]
     covariance = covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
-    half = z * np.sqrt(
-        np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0)
-    )
+    variance_of_difference = variance[:, None] + variance[None, :] - 2.0 * covariance
+    half = z * np.sqrt(np.maximum(variance_of_difference, 0.0))
     down, up = np.array([_outside_changes(problem, evidences[i], z) for i in order]).T
     outside = (down[:, None] + up[None, :]) * (1.0 - np.eye(len(values)))
     difference = values[:, None] - values[None, :]
@@ -408,8 +481,17 @@ def compare_policies(
     )
 
 
+def _probability_best(draws: Array) -> Array:
+    """Return the share of the draws (n, k) in which each of k policies is the best."""
+    # policies that are equal but for rounding share a draw
+    tolerance = EQUALITY_TOLERANCE * np.abs(draws).max()
+    is_top = draws >= draws.max(axis=1, keepdims=True) - tolerance
+    shares = is_top / is_top.sum(axis=1, keepdims=True)
+    return np.asarray(np.sum(shares, axis=0) / len(draws))
+
+
 def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
-    """Name -> (S, A) of at least two; a ValueError where there are fewer."""
+    """Check that there are at least two policies, and return name -> (S, A)."""
     named = check_policies(policies, mdp)
     if len(named) < 2:
         raise ArgumentError(
@@ -421,9 +503,10 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
 
 
 def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
+    """Return the share of a policy's time in unrecorded or dropped transitions."""
     time = time_in_pairs(evidence.fitted, evidence.policy, evidence.horizon)
     dropped = problem.dropped
-    never = (evidence.n == 0) & evidence.open_rows
+    never = (evidence.n == 0) & evidence.is_stochastic
     unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
     left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
     return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
@@ -432,8 +515,9 @@ def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
 def _outside_changes(
     problem: Problem, evidence: Evidence, z: float
 ) -> tuple[float, float]:
-    """By how much dropped transitions, and the simulator's own sampling, may change a
-    value: down, up.
+    """Return by how much, down and up, what the simulator lacks may change a value.
+
+    That are dropped transitions, and the simulator's own sampling.
     """
     margin = outside_margin(problem, evidence)
     if margin is None:
@@ -443,8 +527,9 @@ def _outside_changes(
 
 
 def _root(covariance: Array) -> Array:
-    """B with B B^T = covariance; what of it is rounding, whose root is not, is left
-    out: equal rows stay equal.
+    """Return B with B B^T = covariance, without eigenvalues that are rounding.
+
+    Their roots are no rounding: without them equal rows stay equal.
     """
     values, vectors = np.linalg.eigh(covariance)
     is_real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
@@ -457,10 +542,18 @@ class Selection:
 
     Attributes
     ----------
-    rank_correlation : Spearman's; 1: the same order
-    regret : the best value of all minus the best of the k policies ranked first,
-        divided by the range of true values if that is not 0
-    absolute_error : the mean |estimate - true value|, units of J
+    rank_correlation : float
+        Spearman's rank correlation, in [-1, 1]; 1 for the same order, nan where all
+        estimates or all true values are equal.
+    regret : float
+        The best true value minus the best true value among the k policies ranked first,
+        divided by the range of true values if that is not 0; in [0, 1].
+    absolute_error : float
+        The mean absolute error of the estimates, in the unit of J.
+
+    See Also
+    --------
+    selection_measures : Compute these measures.
 
     Examples
     --------
@@ -474,15 +567,30 @@ class Selection:
 
 
 def selection_measures(
-    estimates: ArrayLike, truths: ArrayLike, *, k: int = 1
+    estimates: RealArrayLike, truths: RealArrayLike, *, k: int = 1
 ) -> Selection:
-    """Compute Spearman's rank correlation, regret@k (a share of the range of true
-    values) and mean absolute error.
+    """Measure how well estimated values rank policies whose true values are known.
 
     Parameters
     ----------
-    estimates, truths : of one length, at least 2; finite
-    k : positive int, at most their number: of how many ranked first the best is taken
+    estimates : array of shape (n,)
+        The estimated values of n >= 2 policies, finite.
+    truths : array of shape (n,)
+        Their true values, finite.
+    k : int, default 1
+        How many of the policies ranked first the best is taken of, at most n.
+
+    Returns
+    -------
+    Selection
+        Spearman's rank correlation, regret@k as a share of the range of true values,
+        and the mean absolute error.
+
+    Raises
+    ------
+    ValueError
+        If the arrays differ in length, are shorter than 2 or not finite, or if k is out
+        of its range.
 
     Examples
     --------
@@ -503,12 +611,12 @@ def selection_measures(
         raise ArgumentError(
             "k", f"must be at most the number of policies, {len(guess)}; it is {number}"
         )
-    flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
-    from scipy import stats  # a quarter of a second
+    from scipy import stats  # takes a quarter of a second to import
 
-    correlation = (
-        float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
-    )
+    # the correlation with a constant is not defined
+    correlation = float("nan")
+    if np.ptp(guess) != 0 and np.ptp(truth) != 0:
+        correlation = float(stats.spearmanr(guess, truth).statistic)
     chosen = np.argsort(-guess, kind="stable")[:number]
     short = float(truth.max() - truth[chosen].max())
     width = float(np.ptp(truth))

@@ -1,12 +1,9 @@
-"""The log's frequencies of each pair, and the bounds of the simulator's support and the
-box.
-"""
+"""Evidence: the log's frequencies of each pair, and the bounds of the box."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -19,19 +16,20 @@ from oee_tabular.exact import ReweightedModel, occupancy
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.typing import Array, BoolArray, PolicyLike
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
-LARGEST_REWARD = 1e140
+# values may be 1e14 times as large at usual discounts, and their squares must be floats
+MAX_REWARD = 1e140
+N_ROWS_SHOWN = 5  # of the rows that an error names
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A problem as the sets of distributions read it, on the entries of the simulator's
-    transitions.
+    """A problem as sets of distributions on the entries of the simulator's transitions.
 
-    ``phat`` (entries,) frequencies (the simulator's rows where there are none), ``n``
-    (S*A,) counts, ``low`` and ``high`` the box lower_ratio * P and upper_ratio * P (at
-    most 1).
+    ``phat`` (entries,) are the log's frequencies, and the simulator's probabilities in
+    rows without data. ``n`` (S*A,) are the counts of the rows, ``low`` and ``high``
+    (entries,) the box lower_ratio * P and upper_ratio * P (at most 1).
     """
 
     model: FiniteMDP
@@ -45,32 +43,33 @@ class Evidence:
     has_box: bool
 
     @cached_property
-    def open_rows(self) -> BoolArray:
-        """(S*A,) the rows with more than one next state."""
+    def is_stochastic(self) -> BoolArray:
+        """Return whether each row (S*A,) has more than one next state."""
         return np.diff(self.rows.indptr) > 1
 
     @cached_property
-    def pay(self) -> Array:
-        """(entries,) r(s, a, s')."""
+    def transition_rewards(self) -> Array:
+        """Return the reward r(s, a, s') of each entry."""
         data = self.model.reward_data
-        return (
-            self.rows.spread(self.model.rewards.reshape(-1)) if data is None else data
-        )
+        if data is None:
+            return self.rows.spread(self.model.rewards.reshape(-1))
+        return data
 
     @cached_property
     def reachable(self) -> BoolArray:
-        """(S*A,) the rows that the policy can reach in some model on the simulator's
-        support.
+        """Return whether the policy can reach each row (S*A,) in some model.
+
+        The models are all on the simulator's support.
         """
         return reachable_rows(self)
 
     @cached_property
     def fitted(self) -> ReweightedModel:
-        """The maximum-likelihood model."""
+        """Return the maximum-likelihood model."""
         return self.with_rows(self.phat)
 
     def with_rows(self, probabilities: Array) -> ReweightedModel:
-        """The model with these probabilities on the simulator's entries, zeros kept."""
+        """Return the model with other probabilities on its entries, zeros kept."""
         return with_rows(self.model, probabilities)
 
 
@@ -80,7 +79,7 @@ def gather(
     lower_ratio: float | None = None,
     upper_ratio: float | None = None,
 ) -> Evidence:
-    """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
+    """Collect counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
     pi = check_policy(policy, problem.model)
     counts = problem.counts
     return evidence_of(
@@ -92,32 +91,27 @@ def evidence_of(
     model: FiniteMDP,
     policy: Array,
     horizon: int | None,
-    counts: sparse.csr_array | None,
+    counts: Csr | None,
     lower_ratio: float | None,
     upper_ratio: float | None,
 ) -> Evidence:
-    """The same of a model and counts on its support, or None, for a policy that was
-    checked.
-    """
-    nu = (
-        0.0
-        if lower_ratio is None
-        else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
-    )
-    mu = (
-        np.inf
-        if upper_ratio is None
-        else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
-    )
+    """Collect the evidence of a model, a checked policy, and counts or None."""
+    nu = 0.0
+    if lower_ratio is not None:
+        nu = _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
+    mu = np.inf
+    if upper_ratio is not None:
+        mu = _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
     rows = Rows.of(model)
-    observed = (
-        np.zeros(len(rows.weights))
-        if counts is None
-        else align(counts, model.transitions)[0]
-    )
+    observed = np.zeros(len(rows.weights))
+    if counts is not None:
+        observed = align(counts, model.transitions)[0]
     n = rows.sums(observed)
     phat = np.where(rows.spread(n) > 0, rows.frequencies(observed), rows.weights)
-    high = np.minimum(mu * rows.weights, 1.0) if np.isfinite(mu) else np.ones(len(phat))
+    # inf * 0 would be nan
+    high = np.ones(len(phat))
+    if np.isfinite(mu):
+        high = np.minimum(mu * rows.weights, 1.0)
     has_box = lower_ratio is not None or upper_ratio is not None
     return Evidence(
         model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box
@@ -125,30 +119,28 @@ def evidence_of(
 
 
 def require_squares(model: FiniteMDP) -> None:
-    """Rewards so small that floats hold the squares of values: what multiplies two of
-    them would be nan.
+    """Refuse rewards so large that floats cannot hold the squares of values.
+
+    What multiplies two values would be nan.
     """
-    largest = float(
-        np.abs(model.rewards if model.reward_data is None else model.reward_data).max()
-    )
-    if largest > LARGEST_REWARD:
+    rewards = model.rewards if model.reward_data is None else model.reward_data
+    largest = float(np.abs(rewards).max())
+    if largest > MAX_REWARD:
         raise ValueError(
-            f"the simulator's rewards must be at most {LARGEST_REWARD:g}, so that"
+            f"the simulator's rewards must be at most {MAX_REWARD:g}, so that"
             f" floats hold the squares of values; they reach {largest:g}: give them in"
             " a larger unit"
         )
 
 
 def unrecorded_share(evidence: Evidence) -> float:
-    """Of the policy's discounted time, the share in open rows without data, which are
-    the simulator's.
-    """
+    """Return the share of the policy's time in stochastic rows without data."""
     time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
-    return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
+    return float(time.reshape(-1)[(evidence.n == 0) & evidence.is_stochastic].sum())
 
 
 def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
-    """``reachable``; with ``steps``, as one of the policy's first."""
+    """Find the rows (S*A,) that the policy can reach, or reach within some steps."""
     taken = evidence.policy > 0
     size = evidence.model.n_states
     state, _, following = evidence.rows.select(taken.reshape(-1)).transitions
@@ -159,22 +151,24 @@ def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
     graph = sparse.csr_array(
         (np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1)
     )
-    seen = np.zeros(size + 1, dtype=np.bool_)
+    is_reached = np.zeros(size + 1, dtype=np.bool_)
     if steps is None or steps >= size:
-        seen[csgraph.breadth_first_order(graph, size, return_predecessors=False)] = True
+        order = csgraph.breadth_first_order(graph, size, return_predecessors=False)
+        is_reached[order] = True
     else:
-        seen = np.isfinite(
-            csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps)
-        )
-    return np.asarray((seen[:size, None] & taken).reshape(-1))
+        distance = csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps)
+        is_reached = np.isfinite(distance)
+    return np.asarray((is_reached[:size, None] & taken).reshape(-1))
 
 
-def describe_rows(evidence: Evidence, rows: Any) -> str:
-    """The first rows, as (s, a) with their counts."""
+def describe_rows(evidence: Evidence, rows: IntArray) -> str:
+    """Name the first of some rows as state-action pairs, with their counts."""
     n_actions = evidence.model.n_actions
     names = evidence.model.names
     named = ", ".join(
         f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})"
-        for r in rows[:5]
+        for r in rows[:N_ROWS_SHOWN]
     )
-    return named + ("" if len(rows) <= 5 else f" and {len(rows) - 5} more")
+    if len(rows) > N_ROWS_SHOWN:
+        named += f" and {len(rows) - N_ROWS_SHOWN} more"
+    return named

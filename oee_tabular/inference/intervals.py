@@ -1,6 +1,4 @@
-"""Confidence intervals for J: ``interval``, by four methods, and ``value_range``, the
-range of J under Assumption V.1.
-"""
+"""Confidence intervals for J by four methods, and the range of J in a box."""
 
 from __future__ import annotations
 
@@ -30,11 +28,14 @@ from oee_tabular.inference.evidence import (
     unrecorded_share,
 )
 from oee_tabular.inference.likelihood import (
+    FeaturesLike,
+    TieLike,
     likelihood_ends,
     shared_directions,
     shared_ends,
 )
 from oee_tabular.inference.robust import (
+    RadiusKind,
     extreme_value,
     find_contradictions,
     radii,
@@ -42,12 +43,14 @@ from oee_tabular.inference.robust import (
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
-from oee_tabular.typing import PolicyLike, Seed
+from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
+# of the ends: a narrower interval of observed spread is none
+VARIATION_TOLERANCE = 1e-12
 NO_VARIATION = (
     "the log's transitions that affect the value never vary: no spread can be"
     " estimated; use method='likelihood'"
@@ -60,24 +63,41 @@ class Interval:
 
     Attributes
     ----------
-    lower, upper : the ends (nan where ``status`` says why there is none)
-    confidence : the level asked for; at least that for "robust", asymptotically for the
-        others; 1 of a ``value_range``
-    method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie"
-        or "... under the features"; "range" of a ``value_range``
-    diagnostics : plain numbers: ``unrecorded_share``, of the policy's discounted time
-        in stochastic pairs never recorded, ``unrecorded_pairs``, how many of them the
-        policy reaches, and those of the method; if impossible transitions were dropped,
-        their number (``dropped_transitions``) and estimated share of the policy's time
-        (``dropped_share``)
-    status : "ok", or the contradiction between the log and the assumed box
-    sampling : of the likelihood interval: (lower, upper) from the recorded transitions
-        alone. If the policy reaches recorded pairs only and no transition was dropped,
-        the interval itself, before a sampled simulator widens it; else the value of
-        ``OffEnvironment()`` ± a normal quantile times its standard error, in which
+    lower : float
+        The lower end; nan where ``status`` says why there is no interval.
+    upper : float
+        The upper end; nan where ``status`` says why there is no interval.
+    confidence : float
+        The level asked for, in (0, 1). "robust" covers with at least this level at any
+        sample size, the others as the log grows. It is 1 for a ``value_range``.
+    method : str
+        "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or
+        "likelihood under the features"; "range" for a ``value_range``.
+    diagnostics : dict
+        Plain numbers. ``unrecorded_share`` is the share of the policy's discounted time
+        in stochastic pairs that were never recorded, and ``unrecorded_pairs`` how many
+        of them the policy reaches. If impossible transitions were dropped,
+        ``dropped_transitions`` is their number and ``dropped_share`` their estimated
+        share of the policy's time. The others describe how the method found the ends.
+    status : str
+        "ok", or the contradiction between the log and the assumed box.
+    sampling : (float, float) or None
+        For the likelihood interval, the ends from the recorded transitions alone. If
+        the policy reaches recorded pairs only, and no transition was dropped, it is the
+        interval itself before a sampled simulator widens it. Otherwise it is the value
+        of ``OffEnvironment()`` ± a normal quantile times its standard error, in which
         unrecorded pairs are as estimated, with the uncertainty that one transition
-        would leave (it covers 96% at 3 to 10 transitions a pair and 90% of the time
-        recorded). None without a standard error, and for the other methods
+        would leave. With 3 to 10 transitions a pair and 90% of the policy's time
+        recorded, it covers in 96% of the cases. None without a standard error, and for
+        the other methods.
+    under : str
+        The assumption that defines the model of the interval: "the tie" or "the
+        features"; "" without one.
+
+    See Also
+    --------
+    interval : Compute a confidence interval.
+    value_range : Compute the range of J without data.
 
     Examples
     --------
@@ -97,27 +117,40 @@ class Interval:
     diagnostics: dict[str, Any] = field(default_factory=dict, repr=False)
     status: str = "ok"
     sampling: tuple[float, float] | None = None
+    under: str = field(default="", repr=False)
 
     @property
     def width(self) -> float:
-        """upper - lower."""
+        """Return the upper end minus the lower end."""
         return self.upper - self.lower
 
     def __contains__(self, value: object) -> bool:
         return isinstance(value, int | float) and self.lower <= value <= self.upper
 
     def __str__(self) -> str:
-        what = "range over all models in the box"
-        if self.method != "range":
-            kind, *under = self.method.partition(" under ")
-            what = f"{100 * self.confidence:.4g}% {kind} interval{''.join(under)}"
+        level = f"{100 * self.confidence:.4g}%"
+        if self.method == "range":
+            what = "range over all models in the box"
+        elif self.under:
+            what = f"{level} likelihood interval under {self.under}"
+        else:
+            what = f"{level} {self.method} interval"
         if self.status != "ok":
             return f"no {what}: {self.status}"
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the interval on a line (``oee_tabular.plots.plot_intervals``); without
-        ``ax`` on new axes.
+        """Draw the interval on a line (``oee_tabular.plots.plot_intervals``).
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            The axes to draw on. None makes new ones.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes with the picture.
         """
         return plot_intervals(
             ["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self)
@@ -133,12 +166,8 @@ class Interval:
             ("method", self.method),
         ]
         if self.sampling is not None:
-            rows.append(
-                (
-                    "from the recorded transitions alone",
-                    _printing.interval(*self.sampling),
-                )
-            )
+            sampling = _printing.interval(*self.sampling)
+            rows.append(("from the recorded transitions alone", sampling))
         rows += [
             (name, f"{x:.4g}" if isinstance(x, float) else x)
             for name, x in self.diagnostics.items()
@@ -157,59 +186,98 @@ def interval(
     confidence: float = 0.95,
     lower_ratio: float | None = None,
     upper_ratio: float | None = None,
-    tie: Any = None,
-    features: Any = None,
+    tie: TieLike | None = None,
+    features: FeaturesLike | None = None,
     radius: Literal["auto", "independent", "anytime"] = "auto",
     resample: Literal["transitions", "episodes"] = "transitions",
     n_bootstrap: int = 400,
     seed: Seed = None,
 ) -> Interval:
-    """Compute a confidence interval for J of a policy in the target. Rewards are taken
-    as known.
+    """Compute a confidence interval for J of a policy in the target.
+
+    Rewards are taken as known.
 
     Parameters
     ----------
-    problem, policy : as for an estimator
-    method : "likelihood"
-        Profile likelihood, chi-square with one degree of freedom; unrecorded pairs that
-        the policy reaches are set to their extremes in the box.
-        "delta", "bootstrap"
-        Intervals of the maximum-likelihood model; unrecorded pairs are exactly as
-        simulated, without uncertainty. "robust"
-        Guaranteed: each pair's distribution lies in a KL ball around its frequencies
-        and in the box, in all pairs at once; the extreme values by robust policy
-        evaluation, certified.
-    confidence : in (0, 1)
-    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P;
-        None: any distribution on the simulator's support. It limits "likelihood" in
-        unrecorded pairs and "robust" in all; the log is tested against it in each
-        recorded pair, weakly: ``radius`` at ``confidence``, shared by all pairs
-    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of
-        the model in which transitions of one key, or along features, differ from the
-        simulator alike, and nothing else does (``inference.likelihood``). It is
-        narrower if the assumption is true and may miss the value if it is not
-    radius : of the balls: "independent" (fixed counts), "anytime" (random counts, as in
-        episodes), "auto": anytime for a log with episodes
-    resample, n_bootstrap, seed : what the percentile bootstrap resamples ("transitions"
-        or "episodes"), how often, its seed
+    problem : Problem
+        The simulator, the log of the target, and the horizon.
+    policy : PolicyLike
+        The policy, in any of the forms of ``mdp.check_policy``.
+    method : {'likelihood', 'delta', 'bootstrap', 'robust'}, default 'likelihood'
+        How the interval is made:
+
+        - "likelihood": the profile likelihood with the chi-square quantile of one
+          degree of freedom. Unrecorded pairs that the policy reaches are set to their
+          extremes in the box.
+        - "delta": the value of the maximum-likelihood model ± a normal quantile times
+          its standard error. Unrecorded pairs are exactly as simulated, without
+          uncertainty.
+        - "bootstrap": percentiles of the values of resampled maximum-likelihood models,
+          with unrecorded pairs as in "delta".
+        - "robust": guaranteed at any sample size. Each pair's distribution lies in a KL
+          ball around its frequencies and in the box, in all pairs at once. The ends are
+          extreme values by robust policy evaluation, certified.
+    confidence : float, default 0.95
+        The level, in (0, 1).
+    lower_ratio : float, optional
+        Lower bound nu in [0, 1] of the box nu P <= P_target <= mu P. The box limits
+        "likelihood" in unrecorded pairs and "robust" in all pairs. The log is tested
+        against it in each recorded pair, weakly, by the KL ball of ``radius`` at
+        ``confidence``, shared by all pairs. None for both bounds means any distribution
+        on the simulator's support.
+    upper_ratio : float, optional
+        Upper bound mu >= 1 of the box.
+    tie : array, data frame or function, optional
+        A key for each transition, as in ``transition_ratio``. The result is the
+        likelihood interval of the model in which transitions of one key differ from the
+        simulator alike, and nothing else differs. It is narrower if the assumption is
+        true, and may miss the value if it is not. Not together with ``features``.
+    features : array, data frame or function, optional
+        Features of each transition, as in ``transition_ratio``, along which alone the
+        target differs from the simulator.
+    radius : {'auto', 'independent', 'anytime'}, default 'auto'
+        The KL balls: for fixed counts ("independent"), or for counts that are random,
+        as in episodes ("anytime"). "auto" is "anytime" for a log with episodes.
+    resample : {'transitions', 'episodes'}, default 'transitions'
+        What the bootstrap resamples.
+    n_bootstrap : int, default 400
+        The number of resamples of the bootstrap.
+    seed : Seed, optional
+        The seed of the bootstrap.
 
     Returns
     -------
     Interval
-        If the counts contradict the box (with this confidence), no interval, but a
-        status that names the pairs.
+        The interval, in the unit of J (a discounted sum). If the counts contradict the
+        box with this confidence, its ends are nan, and its status names the pairs.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range, if the discount is 1 and the problem has no
+        horizon, or if the method cannot take the box, the tie, the features or the
+        dropped transitions.
+
+    See Also
+    --------
+    value_range : Compute the range of J in a box, without data.
+    compare_policies : Compare the values of several policies.
+    oee_tabular.evaluate : Evaluate policies, with the intervals of all of them.
 
     Notes
     -----
-    Cost: likelihood about a hundred linear solves (10 000 states in a second); robust a
-    few policy evaluations with O(nnz) row problems each; bootstrap n_bootstrap
-    evaluations. ``promised`` in a likelihood interval's diagnostics is a first-order
-    bound on how far models in the set may lie beyond its ends, 0 at convergence. If a
-    Problem dropped impossible transitions, "likelihood" and "robust" let them lead
+    The likelihood interval takes about a hundred linear solves (10 000 states in a
+    second); robust takes a few policy evaluations with O(nnz) row problems each; the
+    bootstrap takes n_bootstrap evaluations.
+
+    ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
+    far models in the set may lie beyond its ends, 0 at convergence.
+
+    If a Problem dropped impossible transitions, "likelihood" and "robust" let them lead
     anywhere (to first order), and the others are refused. All intervals widen for a
     sampled simulator's uncertainty in first states, rewards and unsampled transitions
-    (``inference.asymptotic``; ``unmet_share``: the time that the latter may take).
-    ``sampling`` includes neither.
+    (``inference.asymptotic``; ``unmet_share`` is the share of time that the latter may
+    take). ``sampling`` includes neither.
 
     Examples
     --------
@@ -244,11 +312,10 @@ def interval(
             "lower_ratio and upper_ratio must be None if impossible transitions were"
             " dropped: no box contains those"
         )
-    kind = (
-        ("anytime" if problem.log.by_episodes else "independent")
-        if radius == "auto"
-        else radius
-    )
+    # the counts of a log of episodes are random themselves
+    kind = radius
+    if kind == "auto":
+        kind = "anytime" if problem.log.by_episodes else "independent"
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     margin = outside_margin(problem, evidence)
     unrecorded = _count_unrecorded(evidence)
@@ -256,76 +323,39 @@ def interval(
         "unrecorded_share": unrecorded_share(evidence),
         "unrecorded_pairs": unrecorded,
     }
-    facts |= {} if margin is None else margin.diagnostics
-    wrong = (
-        find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
-    )
-    if wrong.size:
-        status = (
-            f"the counts contradict the box [{lower_ratio or 0:g},"
-            f" {np.inf if upper_ratio is None else upper_ratio:g}] in {wrong.size}"
-            f" state-action pair{'s' * (wrong.size > 1)}, with confidence {level:g}:"
-            f" {describe_rows(evidence, wrong)}; widen it"
-        )
-        return Interval(
-            np.nan, np.nan, level, method, facts | {"contradicted_rows": wrong}, status
-        )
+    if margin is not None:
+        facts |= margin.diagnostics
+    if evidence.has_box:
+        wrong = find_contradictions(evidence, level, kind)
+        if wrong.size:
+            box = (lower_ratio, upper_ratio)
+            status = _write_contradiction(evidence, wrong, box, level)
+            facts["contradicted_rows"] = wrong
+            return Interval(np.nan, np.nan, level, method, facts, status)
     sampling: tuple[float, float] | None = None
     if method == "likelihood":
-        low, high = likelihood_ends(evidence, level)
-        lower = low.value
-        upper = high.value
-        names = {
-            "divergence": "divergence",
-            "iterations": "iterations",
-            "change": "last_change",
-            "promised": "promised",
-        }
-        facts |= {
-            shown: max(getattr(low, name), getattr(high, name))
-            for name, shown in names.items()
-        }
+        lower, upper, about = _likelihood_interval(evidence, level)
         sampling = lower, upper
         if has_dropped or unrecorded:
             sampling = _interval_as_estimated(problem, evidence, z, sampling)
-            facts["sampling_method"] = "value ± quantile x standard error"
+            about["sampling_method"] = "value ± quantile x standard error"
     elif method == "robust":
-        require_squares(problem.model)
-        radius_of_row = radii(evidence, level, kind)
-        ends = [extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0)]
-        lower, upper = (end.bound for end in ends)
-        beyond = max(abs(end.bound - end.value) for end in ends)
-        facts |= {
-            "radius": kind,
-            "sweeps": max(end.sweeps for end in ends),
-            "certified_beyond": beyond,
-        }
+        lower, upper, about = _robust_interval(problem, evidence, level, kind)
+    elif method == "delta":
+        lower, upper, about = _delta_interval(evidence, z)
     else:
-        if method == "delta":
-            value = policy_value(
-                evidence.fitted, evidence.policy, horizon=evidence.horizon
-            )
-            error = float(np.sqrt(value_covariances([evidence], prior=0.0)[0][0, 0]))
-            lower = value - z * error
-            upper = value + z * error
-        else:
-            number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-            values = bootstrap_values(
-                problem, evidence, by=resample, n_bootstrap=number, seed=seed
-            )
-            lower, upper = (
-                float(x)
-                for x in np.quantile(values, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
-            )
-            error = float(values.std(ddof=1))
-        facts["standard_error"] = error
+        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+        values = bootstrap_values(
+            problem, evidence, by=resample, n_bootstrap=number, seed=seed
+        )
+        lower, upper, about = _percentile_interval(values, level)
+    facts |= about
     if margin is not None:
         lower, upper = margin.widen(lower, upper, z)
-    varies = (
-        upper - lower > 1e-12 * max(abs(lower), abs(upper))
-        or not (evidence.open_rows & evidence.reachable).any()
-    )
-    if method in ("delta", "bootstrap") and not varies:
+    # a spread of 0 is no evidence of certainty, unless every transition is certain
+    is_narrow = not upper - lower > VARIATION_TOLERANCE * max(abs(lower), abs(upper))
+    is_certain = not (evidence.is_stochastic & evidence.reachable).any()
+    if method in ("delta", "bootstrap") and is_narrow and not is_certain:
         facts["standard_error"] = np.nan
         return Interval(np.nan, np.nan, level, method, facts, NO_VARIATION)
     return Interval(lower, upper, level, method, facts, sampling=sampling)
@@ -340,29 +370,40 @@ def value_range(
     *,
     horizon: int | None = None,
 ) -> Interval:
-    """Return the values of a policy in all targets with lower_ratio * P <= P' <=
-    upper_ratio * P (Assumption V.1).
+    """Compute the range of J over all targets in a box around the simulator.
+
+    The targets are those of Assumption V.1: nu P <= P' <= mu P.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    policy : as for ``policy_value``; with a horizon T also (T, S, A)
-    lower_ratio : nu in [0, 1]; 0 (or None) sets no lower bound
-    upper_ratio : mu in [1, inf]; inf (or None) sets no upper bound
-    horizon : number of rewards; None: the infinite discounted sum
+        The simulator, with transition probabilities P.
+    policy : PolicyLike
+        The policy; with a horizon T also an array of shape (T, S, A).
+    lower_ratio : float or None
+        nu in [0, 1]; 0 or None sets no lower bound.
+    upper_ratio : float or None
+        mu in [1, inf]; inf or None sets no upper bound.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
 
     Returns
     -------
     Interval
-        Models in the box attain both ends. ``confidence`` is 1, and ``method`` "range".
-        ``diagnostics``: the number of ``sweeps``, and by how much at most rounding
-        widened an end (``certified_beyond``).
+        The range, in the unit of J. Models in the box attain both ends. ``confidence``
+        is 1 and ``method`` "range". In its ``diagnostics``, ``sweeps`` is the number of
+        robust evaluations, and ``certified_beyond`` by how much at most rounding
+        widened an end.
 
     Raises
     ------
     ValueError
-        Bad arguments; discount 1 without a horizon where the sum diverges in some model
-        of the box.
+        If an argument is out of its range, or if the discount is 1, there is no
+        horizon, and the sum diverges in some model of the box.
+
+    See Also
+    --------
+    interval : Compute a confidence interval from a log.
 
     Notes
     -----
@@ -390,26 +431,92 @@ def value_range(
     return Interval(low.bound, high.bound, 1.0, "range", facts)
 
 
+def _likelihood_interval(
+    evidence: Evidence, level: float
+) -> tuple[float, float, dict[str, Any]]:
+    """Return the ends of the profile likelihood interval, and how they were found."""
+    low, high = likelihood_ends(evidence, level)
+    about = {
+        "divergence": max(low.divergence, high.divergence),
+        "iterations": max(low.iterations, high.iterations),
+        "last_change": max(low.change, high.change),
+        "promised": max(low.promised, high.promised),
+    }
+    return low.value, high.value, about
+
+
+def _robust_interval(
+    problem: Problem, evidence: Evidence, level: float, kind: RadiusKind
+) -> tuple[float, float, dict[str, Any]]:
+    """Return certified bounds of J over KL balls and box, and how they were found."""
+    require_squares(problem.model)
+    radius_of_row = radii(evidence, level, kind)
+    low, high = (extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0))
+    beyond = max(abs(low.bound - low.value), abs(high.bound - high.value))
+    about = {
+        "radius": kind,
+        "sweeps": max(low.sweeps, high.sweeps),
+        "certified_beyond": beyond,
+    }
+    return low.bound, high.bound, about
+
+
+def _delta_interval(
+    evidence: Evidence, z: float
+) -> tuple[float, float, dict[str, Any]]:
+    """Return the maximum-likelihood value -+ z standard errors by the delta method."""
+    value = policy_value(evidence.fitted, evidence.policy, horizon=evidence.horizon)
+    recorded, _ = value_covariances([evidence], prior=0.0)
+    error = float(np.sqrt(recorded[0, 0]))
+    return value - z * error, value + z * error, {"standard_error": error}
+
+
+def _percentile_interval(
+    values: Array, level: float
+) -> tuple[float, float, dict[str, Any]]:
+    """Return the percentile interval of resampled values, and their deviation."""
+    shares = [(1.0 - level) / 2.0, (1.0 + level) / 2.0]
+    lower, upper = (float(x) for x in np.quantile(values, shares))
+    return lower, upper, {"standard_error": float(values.std(ddof=1))}
+
+
+def _write_contradiction(
+    evidence: Evidence,
+    wrong: IntArray,
+    box: tuple[float | None, float | None],
+    level: float,
+) -> str:
+    """Write in which pairs the counts contradict the box."""
+    lower = box[0] or 0
+    upper = np.inf if box[1] is None else box[1]
+    plural = "s" if wrong.size > 1 else ""
+    return (
+        f"the counts contradict the box [{lower:g}, {upper:g}] in {wrong.size}"
+        f" state-action pair{plural}, with confidence {level:g}:"
+        f" {describe_rows(evidence, wrong)}; widen it"
+    )
+
+
 def _interval_under(
     problem: Problem,
     policy: PolicyLike,
-    tie: Any,
-    features: Any,
+    tie: TieLike | None,
+    features: FeaturesLike | None,
     level: float,
     method: str,
     *,
     has_box: bool,
 ) -> Interval:
-    """The likelihood interval of a model whose rows share parameters."""
-    if method != "likelihood" or has_box:
-        what = (
-            "lower_ratio and upper_ratio must be None"
-            if has_box
-            else "method must be 'likelihood'"
-        )
+    """Compute the likelihood interval of a model whose rows share parameters."""
+    given = "features" if tie is None else "tie"
+    if has_box:
         raise ValueError(
-            f"{what} with {'features' if tie is None else 'tie'}, which defines the"
+            f"lower_ratio and upper_ratio must be None with {given}, which defines the"
             " model"
+        )
+    if method != "likelihood":
+        raise ArgumentError(
+            "method", f"must be 'likelihood' with {given}, which defines the model"
         )
     if problem.dropped.any():
         raise ValueError(
@@ -419,36 +526,35 @@ def _interval_under(
     directions = shared_directions(problem.simulator, tie, features)
     pi = check_policy(policy, problem.simulator)
     lower, upper, estimate = shared_ends(problem, pi, directions, level)
-    name = f"likelihood under the {'features' if tie is None else 'tie'}"
+    facts = {"estimate": estimate, "n_parameters": len(directions.names)}
+    under = f"the {given}"
     return Interval(
-        lower,
-        upper,
-        level,
-        name,
-        {"estimate": estimate, "n_parameters": len(directions.names)},
+        lower, upper, level, f"likelihood under {under}", facts, under=under
     )
 
 
 def _interval_as_estimated(
     problem: Problem, evidence: Evidence, z: float, quoted: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """The default's value, plus or minus a normal quantile times its standard error;
-    within the quoted ends under a box.
+    """Return the default's value -+ a normal quantile times its standard error.
+
+    Under a box it stays within the quoted ends. None without a standard error.
     """
     estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None
-    ends = (
-        estimate.value - z * estimate.standard_error,
-        estimate.value + z * estimate.standard_error,
-    )
-    return tuple(np.clip(ends, *quoted).tolist()) if evidence.has_box else ends
+    lower = estimate.value - z * estimate.standard_error
+    upper = estimate.value + z * estimate.standard_error
+    if evidence.has_box:
+        lower, upper = np.clip((lower, upper), *quoted).tolist()
+    return lower, upper
 
 
 def _count_unrecorded(evidence: Evidence) -> int:
-    """How many rows bear on the value and were never recorded."""
+    """Count the stochastic pairs that bear on the value and were never recorded."""
     steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
     if steps is not None and evidence.model.reward_data is None:
-        steps -= 1  # where the last step leads pays nothing more
+        # with rewards r(s, a), no reward depends on where the last step leads
+        steps -= 1
     reached = evidence.reachable if steps is None else reachable_rows(evidence, steps)
-    return int(((evidence.n == 0) & evidence.open_rows & reached).sum())
+    return int(((evidence.n == 0) & evidence.is_stochastic & reached).sum())

@@ -1,11 +1,11 @@
-"""Profile likelihood intervals: all values J(P') of models whose likelihood ratio the
-log does not reject.
+"""Profile likelihood intervals: J of all models that the log does not reject.
 
-    {J(P') : sum_x n_x KL(phat_x || P'_x) <= c},   c half the chi-square quantile with one degree of freedom,
+    {J(P') : sum_x n_x KL(phat_x || P'_x) <= c},
 
-asymptotically of the confidence asked for [1]; on tables the same as CoinDICE's
-empirical likelihood [2]. Rows without data, if the policy reaches them, are set to
-their extreme in the box (the whole simplex on the simulator's support without one).
+c half the chi-square quantile with one degree of freedom, asymptotically of the
+confidence asked for [1]; on tables the same as CoinDICE's empirical likelihood [2].
+Rows without data, if the policy reaches them, are set to their extreme in the box (the
+whole simplex on the simulator's support without one).
 
 An end is stationary where its rows are best for the gradient of J at themselves. P(x)
 are the rows that maximise sum x P over the set (``_likelihood``: P_i = phat_i / (1 + e
@@ -45,8 +45,9 @@ Off-policy confidence interval estimation, NeurIPS 2020.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -68,35 +69,48 @@ from oee_tabular.ratio.prior.directions import Directions, own_directions
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    FrameLike,
+    IntArray,
+    IntArrayLike,
+    RealArrayLike,
+)
 
-N_DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms)
-N_DRAWS = 16  # ascents from drawn directions, at most, of small problems
-# such ascents for each transition that the log lacks; without any 0 of 800 ends needed
-# one
-DRAWS_EACH = 4
-# transitions of the simulator, times the steps of a value, that share such ascents
-# among them
-AFFORDED = 10**6
-N_SWEEPS = 15  # steps of a value without a horizon, in time
-# of the way from the frequencies' value: by how much the last iterations may move an
-# end
-SETTLED = 3e-8
-# the same of all ascents of large problems, of which the best is continued
-SCOUTED = 1e-3
-# of what V and d of the rows before miss in new rows: what is left of it, in large
-# problems
-ROUGH = 1e-3
-FINE = 1e-9  # the same, where nothing is near
+# a key for each transition of the simulator: an array, a data frame, or a function of
+# (state, action, next_state) arrays
+TieLike: TypeAlias = IntArrayLike | FrameLike | Callable[..., object]
+# features of each transition, in the same forms
+FeaturesLike: TypeAlias = RealArrayLike | FrameLike | Callable[..., object]
+
+# states up to which LAPACK takes no longer than sweeps (0.1 ms)
+MAX_DENSE_STATES = 128
+MAX_DRAWN_DIRECTIONS = 16  # that ascents of small problems begin from
+# with no transition missing, 0 of 800 ends needed an ascent from a drawn direction
+DRAWS_PER_MISSING_TRANSITION = 4
+# transitions of the simulator, times steps of a value, times drawn directions
+MAX_DRAW_WORK = 10**6
+# steps with a horizon that take as long as a value without one
+STEPS_PER_INFINITE_VALUE = 15
+# of the distance between end and maximum-likelihood value, by which the last iterations
+# may move an end
+END_TOLERANCE = 3e-8
+# the same for each ascent of a large problem, before the best of them is continued
+SCOUT_TOLERANCE = 1e-3
+# of the residual that V and d of the previous rows leave in the equations of new rows:
+# what a solve may leave of it in large problems
+WARM_SOLVE_TOLERANCE = 1e-3
+COLD_SOLVE_TOLERANCE = 1e-9  # the same, where no previous rows are near
 
 
 class End(NamedTuple):
-    """An end of the interval.
+    """An end of the interval, and the model that has it.
 
-    ``rows`` are the probabilities of the model that has it, ``divergence`` their sum of
-    n KL (c where the set binds), ``change`` the last iteration's; ``promised`` is the
-    most that rows of the set have beyond it to first order, max G (P'' - P'): 0 at a
-    stationary point.
+    ``rows`` are the probabilities of this model, ``divergence`` their sum of n KL (c
+    where the set binds), and ``change`` the change of J in the last iteration.
+    ``promised`` is the most that rows of the set have beyond the end to first order,
+    max G (P'' - P'); it is 0 at a stationary point.
     """
 
     value: float
@@ -108,12 +122,11 @@ class End(NamedTuple):
 
 
 class PolicyRows(NamedTuple):
-    """An Evidence cut down to the rows that the policy reaches in any model on the
-    simulator's support, as kernels read it.
+    """The rows that the policy reaches in some model, in the form that kernels read.
 
-    ``entries`` are those of the evidence; states are numbered anew; ``n_steps`` is 0
-    without a horizon; rewards are given in their largest one as ``unit``, so that
-    floats hold the squares of values.
+    The models are on the simulator's support. ``entries`` are the entries of the
+    evidence; states are numbered anew; ``n_steps`` is 0 without a horizon. Rewards are
+    divided by ``unit``, the largest one, so that floats hold the squares of values.
     """
 
     entries: Any
@@ -136,7 +149,7 @@ class PolicyRows(NamedTuple):
 
     @classmethod
     def from_evidence(cls, evidence: Evidence) -> PolicyRows:
-        """Cut and number them."""
+        """Select the rows that the policy reaches, and number their states."""
         model = evidence.model
         rows = evidence.rows.select(evidence.reachable)
         states, place = np.unique(rows.state, return_inverse=True)
@@ -145,7 +158,7 @@ class PolicyRows(NamedTuple):
         number[states] = np.arange(n)
         state = rows.spread(place)
         column = number[rows.arrival]
-        unit = float(np.abs(evidence.pay).max()) or 1.0
+        unit = float(np.abs(evidence.transition_rewards).max()) or 1.0
         edges, edge = np.unique(state * n + column, return_inverse=True)
         return cls(
             rows.entries,
@@ -153,7 +166,7 @@ class PolicyRows(NamedTuple):
             state,
             column,
             rows.spread(evidence.policy.reshape(-1)[rows.number]),
-            evidence.pay[rows.entries] / unit,
+            evidence.transition_rewards[rows.entries] / unit,
             evidence.phat[rows.entries],
             evidence.n[rows.number],
             evidence.low[rows.entries],
@@ -169,20 +182,21 @@ class PolicyRows(NamedTuple):
 
     @property
     def has_data(self) -> BoolArray:
-        """(entries,) whether the log has the row."""
+        """Return whether the log has the row of each entry."""
         return np.repeat(self.n > 0, np.diff(self.indptr))
 
     @property
     def is_sparse(self) -> bool:
-        """Whether V and d are solved for by the solvers of ``exact``."""
-        return len(self.initial) > N_DENSE and not self.n_steps
+        """Return whether V and d are solved for by the solvers of ``exact``."""
+        return len(self.initial) > MAX_DENSE_STATES and not self.n_steps
 
 
 class Ascent(NamedTuple):
-    """Where an ascent is: rows p, found for ``last_x``, with the gradient of J there
-    (negative on the way down).
+    """The state of an ascent, as kernels read and write it.
 
-    Then x and the rows on ``trial``, with their V, d and gradient of J (``slope``).
+    ``p`` are the rows, found for ``last_x``, and ``gradient`` is the gradient of J
+    there (negative on the way down). ``x`` is the next direction, ``trial`` its rows,
+    with their V (``values``), d (``visits``) and gradient of J (``slope``).
     """
 
     numbers: Any
@@ -223,29 +237,33 @@ def _find_end(
     directions: list[Array],
     sign: float,
 ) -> End:
-    """The farthest end of ascents from several directions: its value to rounding, its
-    rows, and what is promised.
-    """
-    is_large = len(rows.initial) > N_DENSE
+    """Find the farthest end of ascents from several directions."""
+    is_large = len(rows.initial) > MAX_DENSE_STATES
     end = base
     for x in directions:
         ascent = Ascent(*(part.copy() for part in base))
         ascent.x[:] = x
         ascent.numbers["sign"] = sign
-        _ascend(rows, ascent, SCOUTED if is_large else SETTLED)
-        if end is base or sign * (ascent.numbers["value"] - end.numbers["value"]) > 0.0:
+        _ascend(rows, ascent, SCOUT_TOLERANCE if is_large else END_TOLERANCE)
+        gain = sign * (ascent.numbers["value"] - end.numbers["value"])
+        if end is base or gain > 0.0:
             end = ascent
     if is_large:
-        _ascend(rows, end, SETTLED)
-    _fill_values(rows, end.p, end, FINE)
+        _ascend(rows, end, END_TOLERANCE)
+    _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
     end.trial[:] = end.p
     numbers = end.numbers[0]
     kernels.best_rows(
-        rows, sign * end.slope, 1.0, numbers["limit"], kernels.EXACT, 0.0, end.trial
+        rows,
+        sign * end.slope,
+        1.0,
+        numbers["limit"],
+        kernels.LIMIT_TOLERANCE,
+        0.0,
+        end.trial,
     )
-    promised = np.where(
-        rows.has_data, sign * end.slope * (end.trial - end.p), 0.0
-    ).sum()
+    gain = sign * end.slope * (end.trial - end.p)
+    promised = np.where(rows.has_data, gain, 0.0).sum()
     whole = evidence.phat.copy()
     whole[rows.entries] = end.p
     value = policy_value(
@@ -264,11 +282,17 @@ def _find_end(
 
 
 def _draw_directions(rows: PolicyRows) -> Array:
-    """Drawn V, every other time each row's best state alone: a line each."""
+    """Draw directions for ascents, one a line: r + gamma V of random V.
+
+    In every other direction only the best next state of each row counts.
+    """
     lengths = np.diff(rows.indptr)
     is_observed = (rows.phat > 0.0) & rows.has_data
-    affordable = max(AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS)), 1)
-    number = min(DRAWS_EACH * int((~is_observed).sum()), affordable, N_DRAWS)
+    n_steps = rows.n_steps or STEPS_PER_INFINITE_VALUE
+    affordable = max(MAX_DRAW_WORK // (len(rows.phat) * n_steps), 1)
+    wanted = DRAWS_PER_MISSING_TRANSITION * int((~is_observed).sum())
+    number = min(wanted, affordable, MAX_DRAWN_DIRECTIONS)
+    # a fixed seed: the same directions each time
     drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
     largest = np.repeat(
         np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1
@@ -278,10 +302,13 @@ def _draw_directions(rows: PolicyRows) -> Array:
 
 
 def _begin(rows: PolicyRows, p: Array) -> Ascent:
-    """At rows p, whose J is the base."""
+    """Begin an ascent at rows p, whose J is the reference."""
     n = len(rows.initial)
     k = len(p)
-    start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
+    # a uniform d, from which the first solve of a large problem begins
+    start = np.zeros(n)
+    if rows.is_sparse:
+        start = np.full(n, 1.0 / ((1.0 - rows.discount) * n))
     last_x, gradient, x, trial, slope = np.zeros((5, k))
     ascent = Ascent(
         np.zeros(1, dtype=kernels.NUMBERS),
@@ -294,40 +321,42 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
         start,
         slope,
     )
-    ascent.numbers["value"] = ascent.numbers["reference"] = _fill_values(
-        rows, p, ascent, FINE
-    )
+    value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
+    ascent.numbers["value"] = value
+    ascent.numbers["reference"] = value
     ascent.numbers["step"] = 1.0
     ascent.numbers["change"] = np.inf
     return ascent
 
 
-def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
-    """Run the loop above, or continue it, until iterations move the end by a share
-    ``settled``.
+def _ascend(rows: PolicyRows, ascent: Ascent, tolerance: float) -> None:
+    """Run or continue an ascent, until iterations hardly move its end.
+
+    ``tolerance`` is the share of the distance from the reference by which they may.
     """
-    ascent.numbers["settled"] = settled
+    ascent.numbers["settled"] = tolerance
     ascent.numbers["quiet"] = 0.0
-    is_over = not rows.is_sparse
-    if is_over:
+    if not rows.is_sparse:
         kernels.ascend(rows, ascent)
+        return
+    is_over = False
     while not is_over:
         kernels.propose(rows, ascent)
-        is_over = kernels.accept(
-            ascent, _fill_values(rows, ascent.trial, ascent, ROUGH)
-        )
+        value = _fill_values(rows, ascent.trial, ascent, WARM_SOLVE_TOLERANCE)
+        is_over = kernels.accept(ascent, value)
 
 
 def value_of_rows(rows: PolicyRows, p: Array) -> float:
-    """J at rows p."""
+    """Return J at rows p."""
     return rows.unit * float(_begin(rows, p).numbers["value"][0])
 
 
-def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
-    """J at rows p, whose V, d and gradient go into the ascent.
+def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -> float:
+    """Return J at rows p, and fill V, d and the gradient of J of the ascent.
 
-    In large problems V and d are corrected from those of the rows before, to a share
-    ``left`` of what these miss, and J = mu V + d (what V misses) is then far closer.
+    In large problems V and d are corrected from those of the previous rows, until a
+    share ``tolerance`` of the residual is left. J = mu V + d residual is then far more
+    precise.
     """
     values = ascent.values
     visits = ascent.visits
@@ -337,24 +366,32 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> flo
     share = np.bincount(rows.edge, weights)
     rewards = np.bincount(rows.state, weights * rows.pay).astype(np.float64)
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
-    solution = solvers.answer(System(system), rewards, values, left)
+    solution = solvers.answer(System(system), rewards, values, tolerance)
+    # the residual, weighted by d, corrects J to second order
     value = rows.initial @ solution.x + visits @ solution.missed
     values[:] = solution.x
-    visits[:] = solvers.answer(System(system, True), rows.initial, visits, left).x
+    transposed = System(system, True)
+    visits[:] = solvers.answer(transposed, rows.initial, visits, tolerance).x
     kernels.fill_gradient(rows, values, visits, ascent.slope)
     return float(value)
 
 
-N_LINEARISATIONS = 200
-# of the width, by which the last linearisation may still have moved an end
-TOLERANCE = 1e-7
-LARGEST_LOG_FORCE = 60.0  # of c: beyond it rounding is all that the set has to give
+MAX_LINEARISATIONS = 200
+# of the distance between end and estimate, by which the last linearisation may still
+# have moved an end
+LINEARISATION_TOLERANCE = 1e-7
+# of log c': beyond it rounding is all that the set has to give
+MAX_LOG_FORCE = 60.0
+MIN_STEP = 1e-3  # of the way to the maximiser of the linearisation
 
 
 def shared_directions(
-    simulator: FiniteMDP, tie: object, features: object
+    simulator: FiniteMDP, tie: TieLike | None, features: FeaturesLike | None
 ) -> Directions:
-    """The directions of a tie or of features, checked; both as in ``transition_ratio``."""
+    """Check a tie or features, and return the directions that they allow.
+
+    Both are as in ``transition_ratio``.
+    """
     if tie is not None and features is not None:
         raise ValueError(
             "tie and features must not be given together: they are two different models"
@@ -364,9 +401,8 @@ def shared_directions(
         return own_directions(simulator, keys=tie_keys(tie, rows, simulator))
     array = feature_array(features, simulator)
     spread = np.abs(rows.center(array)).max(axis=0)
-    constant = np.flatnonzero(
-        spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300)
-    )
+    size = np.maximum(np.abs(array).max(axis=0), 1e-300)
+    constant = np.flatnonzero(spread <= 1e-12 * size)
     if constant.size:
         raise ArgumentError(
             "features",
@@ -379,7 +415,7 @@ def shared_directions(
 def shared_ends(
     problem: Problem, policy: Array, directions: Directions, level: float
 ) -> tuple[float, float, float]:
-    """Lower end, upper end, and J at theta_hat."""
+    """Find both ends, and J at theta_hat, where rows share parameters."""
     rows = Rows.of(problem.simulator)
     horizon = problem.horizon
     counts = aligned_counts(problem.counts, problem.simulator)
@@ -401,46 +437,41 @@ def shared_ends(
     limit = least + float(gammaincinv(0.5, level))  # half of chi-square's quantile
 
     def value(theta: Array) -> float:
-        return policy_value(
-            with_rows(problem.model, replace(fit, theta=theta).at(rows)),
-            policy,
-            horizon=horizon,
-        )
+        """Return J of the model with parameters theta."""
+        target = with_rows(problem.model, replace(fit, theta=theta).at(rows))
+        return policy_value(target, policy, horizon=horizon)
 
     def gradient(theta: Array) -> Array:
+        """Return the gradient of J in theta."""
         tilt = replace(fit, theta=theta)
         target = with_rows(problem.model, tilt.at(rows))
         slope = transition_gradient(target, policy, horizon=horizon)
-        return np.asarray(
-            action * tilt.pull(rows, slope * target.transitions.data).sum(axis=0)
-        )
+        pull = tilt.pull(rows, slope * target.transitions.data)
+        return np.asarray(action * pull.sum(axis=0))
 
     def minimise_against(force: Array) -> Array:
-        """argmin f(theta) - force . theta."""
-        return np.asarray(
-            action
-            * minimise(
-                columns, (mass, pulled + force[:-1]), fit.theta, fit.penalty, 1e-22
-            )[0]
-        )
+        """Return argmin f(theta) - force . theta."""
+        statistics = (mass, pulled + force[:-1])
+        theta, *_ = minimise(columns, statistics, fit.theta, fit.penalty, 1e-22)
+        return np.asarray(action * theta)
 
     def maximise_on_boundary(force: Array) -> Array:
-        """argmax force . theta where f is at most the limit."""
+        """Return argmax force . theta where f is at most the limit."""
         force = force / np.abs(force).max()
 
         def excess(log_c: float) -> float:
+            """Return by how much f exceeds the limit at the minimiser for c'."""
             theta = minimise_against(np.exp(log_c) * force)
-            rise: float = (
-                penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0] - limit
-            )
-            return rise
+            risk = penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0]
+            return float(risk - limit)
 
         low = high = 0.0
-        while excess(high) < 0 and high < LARGEST_LOG_FORCE:
+        while excess(high) < 0 and high < MAX_LOG_FORCE:
             low = high
             high = high + 2.0
-        while excess(low) > 0 and low > -LARGEST_LOG_FORCE:
-            low, high = low - 2.0, low
+        while excess(low) > 0 and low > -MAX_LOG_FORCE:
+            high = low
+            low = low - 2.0
         if excess(low) < 0.0 < excess(high):
             low = brentq(excess, low, high, xtol=1e-10)
         return minimise_against(np.exp(low) * force)
@@ -448,22 +479,24 @@ def shared_ends(
     middle = value(fit.theta)
 
     def find_end(sign: float) -> float:
-        """The farthest J in the direction ``sign``."""
+        """Return the farthest J in the direction ``sign``."""
         theta = fit.theta
         end = middle
-        for _ in range(N_LINEARISATIONS):
+        for _ in range(MAX_LINEARISATIONS):
             force = sign * gradient(theta)
             if not np.abs(force).max() > 0:
                 break
             step = maximise_on_boundary(force) - theta
             length = 1.0
             last = end
-            while (
-                length > 1e-3
-                and sign * (end := value(theta + length * step)) <= sign * last
-            ):
-                length *= 0.5  # what lies between two members is one: the set is convex
-            if sign * (end - last) <= TOLERANCE * abs(end - middle):
+            # the set is convex: what lies between two members is one
+            while length > MIN_STEP:
+                end = value(theta + length * step)
+                if not sign * end <= sign * last:
+                    break
+                length *= 0.5
+            tolerance = LINEARISATION_TOLERANCE * abs(end - middle)
+            if sign * (end - last) <= tolerance:
                 return sign * max(sign * end, sign * last)
             theta = theta + length * step
         return end

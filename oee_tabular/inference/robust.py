@@ -1,13 +1,12 @@
-"""Guaranteed extremes of J: every row in its own set of distributions, by robust policy
-evaluation.
+"""Guaranteed extremes of J by robust policy evaluation, each row in its own set.
 
-    U(s, a) = {P : sum phat log(phat / P) <= epsilon(s, a),  low <= P <= high,  sum P = 1}
-    V(s)    = sum_a pi(a | s) max_{P in U(s, a)} sum_s' P(s') (r(s, a, s') + gamma V(s'))       (min for the lower end)
+    U(s, a) = {P : KL(phat || P) <= epsilon(s, a),  low <= P <= high,  sum P = 1}
+    V(s) = sum_a pi(a | s) max_{P in U(s, a)} sum_s' P(s') (r(s, a, s') + gamma V(s'))
 
-The best rows for V, then V for these rows, until the Bellman residual is rounding [3].
-The row problems are solved with an upper bound each, and what is left of the residual
-widens the interval. The radii hold for all rows at once with the confidence asked for
-(a union over the rows).
+with min in place of max for the lower end. The best rows for V, then V for these rows,
+until the Bellman residual is rounding [3]. The row problems are solved with an upper
+bound each, and what is left of the residual widens the interval. The radii hold for all
+rows at once with the confidence asked for (a union over the rows).
 
 A row's problem, maximise sum P v over U, has with multipliers lambda of the ball and
 eta of the sum the solution P = clip(lambda phat / (eta - v), low, high), ``high`` where
@@ -17,16 +16,15 @@ jump the two ends are combined), and KL falls as lambda grows (another).
 Before any log there is the box of Assumption V.1 alone, nu P <= P' <= mu P. With u(s')
 = r(s, a, s') + gamma V-(s') the least value of the models within it is [3, 4]
 
-    V-(s) = sum_a pi(a | s) [nu E_P u + (1 - nu) CVaR_tau(u)],    tau = (1 - nu) / (mu - nu),
+    V-(s) = sum_a pi(a | s) [nu E_P u + (1 - nu) CVaR_tau(u)],
 
-CVaR_tau the mean of u over its worst share tau under P: each row keeps nu P and sends
-the remaining 1 - nu to the worst next states, (mu - nu) P at most to each. The largest
-value V+ has the best share in place of the worst.
+tau = (1 - nu) / (mu - nu), CVaR_tau the mean of u over its worst share tau under P:
+each row keeps nu P and sends the remaining 1 - nu to the worst next states, (mu - nu) P
+at most to each. The largest value V+ has the best share in place of the worst.
 
 Sources: [1] R. Agrawal, Finite-sample concentration of the multinomial in relative
-entropy, IEEE Trans. Information Theory 66,
-2020. [2] A. Jonsson et al., Planning in Markov decision processes with gap-dependent
-  sample complexity, NeurIPS 2020. [3] G.
+entropy, IEEE Trans. Information Theory 66, 2020. [2] A. Jonsson et al., Planning in
+Markov decision processes with gap-dependent sample complexity, NeurIPS 2020. [3] G.
 Iyengar, Robust dynamic programming, Mathematics of Operations Research 30, 2005; A.
 Nilim and L. El Ghaoui, Robust control of Markov decision processes, Operations Research
 53, 2005. [4] A. Bennett, N. Kallus, M. Oprescu, W. Sun and K. Wang, Efficient and sharp
@@ -36,7 +34,7 @@ off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -51,16 +49,21 @@ from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.typing import Array, IntArray
 
-N_SWEEPS = 100  # at most; five to ten are usual
-N_STALLED = 8  # sweeps that no longer halve the residual: what is left is rounding
+RadiusKind: TypeAlias = Literal["independent", "anytime"]
+
+MAX_SWEEPS = 100  # five to ten are usual
+# sweeps that do not halve the residual, after which it is taken for rounding
+MAX_STALLED_SWEEPS = 8
+RESIDUAL_TOLERANCE = 1e-12  # of the largest value
+# relative, and absolute: by so much the KL of counts and box may exceed the radius
+RADIUS_TOLERANCES = (1e-9, 1e-15)
 
 
 def independent_radius(n: Array, k: IntArray, level: float) -> Array:
-    """epsilon with Pr(KL(phat || P) > epsilon) <= level for n independent draws over k
-    outcomes [1].
+    """Compute the radius of a KL ball for n independent draws over k outcomes [1].
 
-    c = n epsilon solves e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. inf where n =
-    0.
+    It is the epsilon with Pr(KL(phat || P) > epsilon) <= level: c = n epsilon solves
+    e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. It is inf where n = 0.
     """
     order = np.maximum(k - 1.0, 1.0)
     # -c + (k-1) (1 + log(c / (k-1))) = log level: with y = c / (k-1), y e^-y = exp(log
@@ -70,28 +73,31 @@ def independent_radius(n: Array, k: IntArray, level: float) -> Array:
 
 
 def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
-    """The same where n is itself random, as in episodes: (log(1/level) + (k - 1) log(e
-    (1 + n / (k - 1)))) / n [2].
+    """Compute the radius of a KL ball where n is itself random, as in episodes [2].
+
+    epsilon = (log(1 / level) + (k - 1) log(e (1 + n / (k - 1)))) / n, inf where n = 0.
     """
     order = np.maximum(k - 1.0, 1.0)
     c = np.log(1.0 / level) + order * (1.0 + np.log1p(n / order))
     return np.where(n > 0, c / np.maximum(n, 1.0), np.inf)
 
 
-def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
-    """(S*A,) radius of each row, the failure probability shared evenly by the rows that
-    are reached and open.
+def radii(evidence: Evidence, confidence: float, kind: RadiusKind) -> Array:
+    """Compute the radius (S*A,) of each row's KL ball.
+
+    The rows that are reachable and stochastic share the failure probability evenly.
     """
-    level = (1.0 - confidence) / max(
-        int((evidence.open_rows & evidence.reachable).sum()), 1
-    )
+    n_rows = int((evidence.is_stochastic & evidence.reachable).sum())
+    level = (1.0 - confidence) / max(n_rows, 1)
     radius = independent_radius if kind == "independent" else anytime_radius
     return radius(evidence.n, np.diff(evidence.rows.indptr), level)
 
 
 class Extreme(NamedTuple):
-    """The largest value or the smallest, a bound beyond it, the Bellman residual that
-    is left, and how many sweeps it took.
+    """The largest or the smallest value, with a bound beyond it.
+
+    ``residual`` is the Bellman residual that is left, ``sweeps`` the number of robust
+    evaluations.
     """
 
     value: float
@@ -101,8 +107,9 @@ class Extreme(NamedTuple):
 
 
 def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
-    """The extreme of J over the rectangular set, largest for sign 1, certified (at
-    discount 1 to rounding).
+    """Compute the extreme of J over the rectangular set, largest for sign 1.
+
+    It is certified by the Bellman residual (at discount 1 to rounding).
     """
     model = evidence.model
     policy = evidence.policy
@@ -110,8 +117,10 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     guesses = np.zeros(len(radius))
 
     def back_up(values: Array, pi: Array) -> Array:
-        """(S,) sum_a pi max P (r + gamma V), bounds from outside."""
-        ahead = evidence.pay + model.discount * values[evidence.rows.arrival]
+        """Return (S,) sum_a pi max P (r + gamma V), with bounds from outside."""
+        ahead = (
+            evidence.transition_rewards + model.discount * values[evidence.rows.arrival]
+        )
         bound, _ = _solve_rows(evidence, radius, sign * ahead, guesses, p)
         return np.asarray((pi * (sign * bound).reshape(pi.shape)).sum(axis=1))
 
@@ -127,17 +136,15 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     rise = 0.0
     sweeps = 0
     stalled = 0
-    while sweeps < N_SWEEPS:
+    while sweeps < MAX_SWEEPS:
         sweeps += 1
         backed = back_up(values, policy)
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last = residual
         residual = float(np.abs(backed - values).max())
         stalled = stalled + 1 if residual >= 0.5 * last else 0
-        if (
-            residual <= 1e-12 * max(1.0, float(np.abs(values).max()))
-            or stalled >= N_STALLED
-        ):
+        tolerance = RESIDUAL_TOLERANCE * max(1.0, float(np.abs(values).max()))
+        if residual <= tolerance or stalled >= MAX_STALLED_SWEEPS:
             break
         values = evaluate_policy(evidence.with_rows(p), policy).values
     value = dot(model.initial, values)
@@ -145,31 +152,36 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     return Extreme(value, value + sign * beyond, residual, sweeps)
 
 
-def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> IntArray:
-    """Rows in which the KL ball of the counts misses the box: the box is wrong there,
-    with the confidence given.
+def find_contradictions(
+    evidence: Evidence, confidence: float, kind: RadiusKind
+) -> IntArray:
+    """Find the rows in which the KL ball of the counts misses the box.
+
+    The box is wrong there, with the confidence given.
     """
     radius = radii(evidence, confidence, kind)
     p = evidence.phat.copy()
     _, kl = _solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
-    return np.flatnonzero(np.isfinite(radius) & (kl > radius * (1.0 + 1e-9) + 1e-15))
+    relative, absolute = RADIUS_TOLERANCES
+    largest = radius * (1.0 + relative) + absolute
+    return np.flatnonzero(np.isfinite(radius) & (kl > largest))
 
 
 def _solve_rows(
     evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array
 ) -> tuple[Array, Array]:
-    """(S*A,) certified bounds on max sum P v, and the KL of the maximisers, which go
-    into p.
+    """Compute certified bounds (S*A,) on max sum P v, and the KL of the maximisers.
+
+    The maximisers are written into p.
     """
     bound, kl = np.empty((2, len(radius)))
-    part = evidence
     worst_rows(
         radius,
-        part.phat,
+        evidence.phat,
         v,
-        part.low,
-        part.high,
-        part.rows.indptr,
+        evidence.low,
+        evidence.high,
+        evidence.rows.indptr,
         guesses,
         p,
         bound,
@@ -179,11 +191,11 @@ def _solve_rows(
 
 
 def require_end(evidence: Evidence) -> None:
-    """Refuse a box in which some model keeps the policy for ever among states that it
-    leaves in the simulator.
+    """Refuse a box in which a model keeps the policy among transient states.
 
-    The largest set X of such states: of each of its rows nothing has to leave X (nu = 0
-    or no successor outside), and X can take all mass (mu P(X) >= 1).
+    The refused states are the largest set X of states that the policy leaves in the
+    simulator, in which no row has to leave X (nu = 0 or no successor outside) and X can
+    take all mass (mu P(X) >= 1).
     """
     model = evidence.model
     rows = evidence.rows
@@ -211,7 +223,10 @@ def require_end(evidence: Evidence) -> None:
 
 @njit(cache=True, error_model="numpy")
 def fill_at(eta, lam, phat, v, low, high, start, stop, out):
-    """P(eta, lambda) into ``out``; its sum and minus the sum's derivative."""
+    """Write P(eta, lambda); return its sum, and minus the sum's derivative in eta.
+
+    P_i = clip(lambda phat_i / (eta - v_i), low_i, high_i),   high_i where eta <= v_i.
+    """
     total = 0.0
     slope = 0.0
     for i in range(start, stop):
@@ -228,8 +243,9 @@ def fill_at(eta, lam, phat, v, low, high, start, stop, out):
 
 @njit(cache=True, error_model="numpy")
 def greedy_row(v, low, high, start, stop, out):
-    """Without a ball: what ``low`` leaves goes to the largest v, then to the next;
-    returns the last v that got some.
+    """Write the maximiser without a ball; return the last v that got some mass.
+
+    What ``low`` leaves of the mass goes to the largest v, then to the next.
     """
     rest = 1.0
     eta = np.inf
@@ -249,8 +265,11 @@ def greedy_row(v, low, high, start, stop, out):
 
 @njit(cache=True, error_model="numpy")
 def row_at(lam, phat, v, low, high, start, stop, out, spare):
-    """P for a lambda above 0, summing to 1, into ``out``; returns eta. Needs sum low <=
-    1 <= sum high.
+    """Write P for a lambda above 0, summing to 1, and return eta.
+
+    sum_i clip(lambda phat_i / (eta - v_i), low_i, high_i) = 1: a bracketed root in eta.
+
+    It needs sum low <= 1 <= sum high.
     """
     least = 0.0
     smallest = np.inf
@@ -266,6 +285,7 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
         1e-12 * max(abs(largest), abs(smallest), largest - smallest) + 1e-300,
     )
     eta = right
+    # Newton's steps, and bisections where they leave the bracket
     for _ in range(200):
         total, slope = fill_at(eta, lam, phat, v, low, high, start, stop, out)
         if total == 1.0:
@@ -280,6 +300,7 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
         if not left < trial < right or abs(trial - eta) <= 1e-16 * abs(eta):
             break
         eta = trial
+    # At a jump of the sum its two ends are combined, so that it is 1.
     upper, _ = fill_at(left, lam, phat, v, low, high, start, stop, out)
     lower, _ = fill_at(right, lam, phat, v, low, high, start, stop, spare)
     share = (
@@ -294,13 +315,15 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
 
 @njit(cache=True, error_model="numpy")
 def divergence(phat, p, start, stop):
-    """KL(phat || P) = sum phat (-log(1 + u)) + u-terms, u = (P - phat) / phat, without
-    cancellation where P is near phat.
+    """Return KL(phat || P) without cancellation where P is near phat.
+
+    KL = sum phat (u - log(1 + u)),   u = (P - phat) / phat; the terms in u sum to minus
+    what P has where phat is 0.
     """
     total = 0.0
     for i in range(start, stop):
         if phat[i] == 0.0:
-            # sum P = sum phat = 1: the mass that the logarithm's terms leave out
+            # sum P = sum phat = 1: this mass is missing in the terms in u
             total += p[i]
         elif p[i] <= 0.0:
             return np.inf
@@ -317,8 +340,11 @@ def divergence(phat, p, start, stop):
 
 @njit(cache=True, error_model="numpy")
 def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
-    """The Lagrangian's maximum: an upper bound on the row's problem for any eta and
-    lambda >= 0.
+    """Return the Lagrangian's maximum, an upper bound on the row's problem.
+
+    eta + lambda epsilon + max_P sum_i [P_i (v_i - eta) + lambda phat_i log(P_i/phat_i)]
+
+    over low <= P <= high, for any eta and lambda >= 0.
     """
     total = eta + (lam * epsilon if lam > 0.0 else 0.0)
     for i in range(start, stop):
@@ -337,8 +363,10 @@ def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
 
 @njit(cache=True, error_model="numpy")
 def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
-    """Fill ``out`` with the maximiser; returns lambda, an upper bound on the maximum,
-    and the KL (above epsilon: none).
+    """Write the maximiser; return lambda, an upper bound on the maximum, and the KL.
+
+    KL(phat || P(lambda)) = epsilon, a bracketed root in log lambda: KL falls as lambda
+    grows. A KL above epsilon says that no P of the box is in the ball.
     """
     spread = v[start:stop].max() - v[start:stop].min()
     eta = greedy_row(v, low, high, start, stop, out)
@@ -349,7 +377,9 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
         # the nearest point of the box to the counts
         row_at(1e30, phat, v, low, high, start, stop, out, spare)
         return 0.0, v[start], divergence(phat, out, start, stop)
-    # lambdas outside and inside the ball, log(KL / epsilon) there
+    # ``near`` and ``far`` are lambdas outside and inside of the ball, ``above`` and
+    # ``below`` are log(KL / epsilon) there. Steps are regula falsi in log lambda, every
+    # third one a bisection.
     near = 0.0
     far = np.inf
     above = 1.0
@@ -389,8 +419,10 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
 
 @njit(cache=True, error_model="numpy")
 def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
-    """Every row; ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is
-    a row without data.
+    """Solve every row's problem, max sum P v, and write P, its bounds and its KL.
+
+    ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is a row without
+    data.
     """
     spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):

@@ -435,9 +435,10 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
         if each.method not in beside
     }
     quoted = intervals.get(LIKELIHOOD)
+    ends_quoted = None if quoted is None else (quoted.lower, quoted.upper)
     sampling = None if quoted is None else quoted.sampling
     # where every pair is recorded, the two intervals are the same
-    if sampling is not None and sampling != (quoted.lower, quoted.upper):
+    if sampling is not None and sampling != ends_quoted:
         alone["sampling"] = sampling
     for method, ends in alone.items():
         name = "guaranteed" if method == GUARANTEED else method

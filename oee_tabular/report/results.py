@@ -565,10 +565,9 @@ class Report:
             The axes with the picture.
         """
         rows = self.rows(all=all)
+        has_value = any(math.isfinite(row["value"]) for row in rows)
         # lines that all say "no value" need limits
-        limits = (0.0, 1.0)
-        if any(math.isfinite(row["value"]) for row in rows):
-            limits = None
+        limits = None if has_value else (0.0, 1.0)
         return plot_values(
             rows, ax, title=self.headline, unit=self.meaning, limits=limits
         )

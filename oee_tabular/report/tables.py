@@ -109,7 +109,7 @@ def comparison_table(report: Report) -> list[str]:
     if not rows:
         return []
     best = number_cell("probability_best", "{:.1%}".format)
-    columns = {
+    columns: dict[str, Callable[[Row], str]] = {
         "policy": itemgetter("policy"),
         **value_columns(report),
         "P(best)": lambda row: best(row) or "-",

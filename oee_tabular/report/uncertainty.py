@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import NormalDist
-from typing import Final
+from typing import Final, TypedDict
 
 import numpy as np
 from scipy import special
@@ -57,6 +57,13 @@ OWN = "the estimator's own"
 OWN_LEVEL = 0.95  # the confidence of the intervals that estimators set themselves
 
 
+class BoxOptions(TypedDict):
+    """Bounds on target over simulator probabilities, as keyword arguments."""
+
+    lower_ratio: float | None
+    upper_ratio: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Premises:
     """What the user knows about the target.
@@ -85,7 +92,7 @@ class Premises:
         return self.lower_ratio is not None or self.upper_ratio is not None
 
     @property
-    def box(self) -> dict[str, float | None]:
+    def box(self) -> BoxOptions:
         """Return the box as keyword arguments of ``interval``."""
         return {"lower_ratio": self.lower_ratio, "upper_ratio": self.upper_ratio}
 
@@ -266,7 +273,7 @@ def _test_simulator(evidence: Evidence) -> str:
     The test of all transitions together is the score test of the tilt along log P: sum
     (n - n_sa P) log P over its standard deviation under P.
     """
-    tested = (evidence.n > 0) & evidence.open_rows
+    tested = (evidence.n > 0) & evidence.is_stochastic
     n_tested = int(tested.sum())
     if n_tested == 0:
         return text.NOT_TESTED

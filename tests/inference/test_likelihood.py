@@ -60,7 +60,7 @@ def best_of_slsqp(evidence, sign, n_starts, rng):
     spread = evidence.rows.spread
     policy = evidence.policy
     horizon = evidence.horizon
-    free = np.flatnonzero(spread(evidence.reachable & evidence.open_rows))
+    free = np.flatnonzero(spread(evidence.reachable & evidence.is_stochastic))
     pair = spread(np.arange(len(evidence.n)))[free]
     n = spread(evidence.n)[free]
     phat = evidence.phat[free]
@@ -176,7 +176,7 @@ def test_drawn_directions_find_farther_ends(seed, monkeypatch):
     problem, policy = sparse_problem(seed)
     evidence = gather(problem, policy)
     low, high = (end.value for end in likelihood_ends(evidence, 0.95))
-    monkeypatch.setattr(likelihood, "N_DRAWS", 0)
+    monkeypatch.setattr(likelihood, "MAX_DRAWN_DIRECTIONS", 0)
     nearer_low, nearer_high = (end.value for end in likelihood_ends(evidence, 0.95))
     assert max(nearer_low - low, high - nearer_high) > 0.015 * (high - low)
 
@@ -203,7 +203,7 @@ def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
     log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 600, seed=1)
     evidence = gather(oee.Problem(simulator, log, horizon=horizon), policy)
     small = [end.value for end in likelihood_ends(evidence, 0.95)]
-    monkeypatch.setattr(likelihood, "N_DENSE", 0)
+    monkeypatch.setattr(likelihood, "MAX_DENSE_STATES", 0)
     large = [end.value for end in likelihood_ends(evidence, 0.95)]
     assert_allclose(large, small, rtol=1e-13, atol=1e-8 * (small[1] - small[0]))
 

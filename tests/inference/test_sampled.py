@@ -157,7 +157,7 @@ def swayed(simulator, problem, horizon, sign, share):
     """
     evidence = gather(problem, PI)
     p = evidence.fitted.transitions.toarray()
-    pays = evidence.with_rows(evidence.pay).transitions.toarray()
+    pays = evidence.with_rows(evidence.transition_rewards).transitions.toarray()
     counts = (
         np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None])
         + problem.counts.toarray()
