@@ -1,5 +1,6 @@
-r"""What to record next: the state-action pairs, or the behaviour policy, that reduce the
-variance of the policies' values most.
+r"""What to record next, so that the policies' values have the least variance.
+
+What is recorded are state-action pairs, or what a behaviour policy visits.
 
 Objects: x = (s, a) a row of the S*A; P' the model (S*A, S) at which variances are
 evaluated; pi the policies, k = 1..K; n_x the log's counts (S*A,); q a distribution over
@@ -14,7 +15,8 @@ A row that P' makes deterministic has c_x = 0, which would leave the model's cla
 ever untested. Its cost is *optimistic* instead, the largest variance that is still
 plausible: max Var_P[G_x] over
 
-    lower_ratio R <= P <= upper_ratio R,   R(.|s, a) = 0.9 P(.|s, a) + 0.05 mean_b P(.|s, b) + 0.05 1{s' = s},
+    lower_ratio R <= P <= upper_ratio R,
+    R(.|s, a) = 0.9 P(.|s, a) + 0.05 mean_b P(.|s, b) + 0.05 1{s' = s},
 
 P the simulator: something like another action is carried out, or nothing happens.
 Without a box, any distribution on the support of R, with variance (range of G_x / 2)^2.
@@ -34,7 +36,9 @@ with C_k = c_k / n over the least variance that a plan for k alone reaches: over
 polytope of the collection MDP, which starts again after a transition with probability
 rho (``restart``),
 
-    q >= 0,   sum_a q(s', a) = rho mu_0(s') + (1 - rho) sum_x q(x) P'(s' | x)   for every s'.
+    q >= 0,   sum_a q(s', a) = rho mu_0(s') + (1 - rho) sum_x q(x) P'(s' | x)
+
+    for every s'.
 
 It is solved by an interior point method [2]: a Newton step for q, the multipliers v of
 the flow (M q = m, kappa = M' v) and z of q >= 0, where conjugate gradients solve for v;
@@ -44,7 +48,8 @@ what the policy q / sum_a q records.
 **Certificate.** For any v, with kappa = v(s) - (1 - rho) E_P' v(s') made nonnegative by
 a constant added to v (Lagrange),
 
-    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  rho mu_0 . v   <=   min_q max_k F_k(q).
+    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  rho mu_0 . v
+        <=   min_q max_k F_k(q).
 
 ``Plan.gap`` is the distance of the two sides over the value, however q was found; gap =
 0 is the equivalence theorem [3].

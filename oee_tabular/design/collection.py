@@ -1,6 +1,4 @@
-"""``plan_data_collection``: which pairs to record next, or which behaviour policy to
-run, for the narrowest intervals.
-"""
+"""Plans of data collection: which pairs to record, or which behaviour policy to run."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from oee_tabular.design.advice import next_pairs
 from oee_tabular.design.costs import row_costs
 from oee_tabular.design.plan import Outlook, Plan
 from oee_tabular.design.programs import (
-    LARGEST_GAP,
+    MAX_GAP,
     Solver,
     behavior_of,
     collection_mdp,
@@ -32,13 +30,15 @@ from oee_tabular.mdp.policies import split_policies
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, PoliciesLike
+
+MAX_NEXT_PAIRS = 10  # that a plan lists
 
 
 @one_thread
 def plan_data_collection(
     problem: Problem | FiniteMDP,
-    policies: object,
+    policies: PoliciesLike,
     *,
     n: int,
     sampling: Literal["free", "behavior"] = "free",
@@ -52,70 +52,88 @@ def plan_data_collection(
     solver: Solver = "auto",
     confidence: float = 0.95,
 ) -> Plan:
-    """Choose where to record the next n transitions of the target to estimate the
-    policies' values most precisely.
+    """Choose where to record the next n transitions of the target.
 
-    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,   c^pi_x = Var_{s' ~
-    P'(.|x)}[dJ_pi / dP'(s' | x)],
+    The plan estimates the policies' values most precisely:
 
-    with n_x the log's counts and best_pi the smallest sum that a plan for pi alone
-    reaches.
+    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,
+
+    where q is the distribution of the new transitions over state-action pairs x, c^pi_x
+    = Var_{s' ~ P'(.|x)}[dJ_pi / dP'(s' | x)], n_x are the log's counts, and best_pi is
+    the smallest sum that a plan for pi alone reaches.
 
     Parameters
     ----------
-    problem : Problem, or the simulator (FiniteMDP) if there is no log yet
-    policies : (S, A), or a mapping name -> (S, A): the worst of several counts
-    n : how many transitions are to be recorded
-    sampling : "free"
-        Any state-action pair can be recorded.
-        "behavior"
-        A behaviour policy records: q is its occupancy in ``model``, restarted after
-        each transition with probability ``restart``, and on entering a state that no
-        action leaves.
-    model : P', at which variances are evaluated: "estimate" (``transition_ratio``'s
-        zeta * P from the log; the simulator if there is no log), "simulator", or a
-        FiniteMDP, of which the transitions are used
-    horizon : positive int or None; only if ``problem`` is a simulator (a Problem has
-        its own)
-    lower_ratio, upper_ratio : the box for pairs without spread, see ``optimistic``;
-        None: any distribution there
-    optimistic : True
-        Pairs that ``model`` makes deterministic cost the largest plausible variance,
-        not 0, or they would never be tested (``design`` has the set: another action is
-        executed or nothing happens, within the box, and less often the more transitions
-        the log has).
-    restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount
-        1)
-    restart_costs_a_move : False: the transition recorded after an episode's end is from
-        a first state; True: one more is recorded in the state that ended it
-    solver : "auto"
-        In closed form for one policy and free sampling, else by an interior point
-        method, to a gap of 0.01%. "frank_wolfe" is an older name of it.
-        "CLARABEL"
-        Clarabel by cvxpy: a smaller gap, but slow above 4000 pairs.
-    confidence : in (0, 1), of the intervals whose widths are predicted (J ± z standard
-        errors)
+    problem : Problem or FiniteMDP
+        The simulator and the log, or the simulator alone if there is no log yet.
+    policies : PolicyLike or mapping of str to PolicyLike
+        The policy, or the policies by name, whose values are to be estimated. The worst
+        of several counts.
+    n : int
+        The number of transitions to be recorded.
+    sampling : {'free', 'behavior'}, default 'free'
+        With "free" any state-action pair can be recorded. With "behavior" a behaviour
+        policy records: q is its occupancy in ``model``, restarted after each transition
+        with probability ``restart``, and on entering a state that no action leaves.
+    model : {'estimate', 'simulator'} or FiniteMDP, default 'estimate'
+        The model P' at which variances are evaluated: ``transition_ratio``'s zeta * P
+        from the log (the simulator if there is no log), the simulator, or the
+        transitions of a FiniteMDP.
+    horizon : int, optional
+        The number of rewards; only if ``problem`` is a simulator (a Problem has its
+        own). None means the infinite discounted sum.
+    lower_ratio : float, optional
+        Lower bound in [0, 1] of the box for pairs without spread, see ``optimistic``.
+        None for both bounds allows any distribution there.
+    upper_ratio : float, optional
+        Upper bound of at least 1 of this box.
+    optimistic : bool, default True
+        Whether pairs that ``model`` makes deterministic cost the largest plausible
+        variance, not 0; otherwise they would never be tested. The plausible set is
+        stated in ``design``: another action is executed or nothing happens, within the
+        box, and less often the more transitions the log has.
+    restart : float, optional
+        The probability of a restart after each transition, in (0, 1), for "behavior"
+        only. None means 1 - discount, and 1 / horizon at discount 1.
+    restart_costs_a_move : bool, default False
+        Whether one more transition is recorded in the state that ended an episode.
+        Otherwise the transition after an episode's end is from a first state.
+    solver : {'auto', 'frank_wolfe', 'CLARABEL'}, default 'auto'
+        "auto" is in closed form for one policy and free sampling, else an interior
+        point method, to a gap of 0.01%; "frank_wolfe" is an older name of it.
+        "CLARABEL" is Clarabel by cvxpy: a smaller gap, but slow above 4000 pairs.
+    confidence : float, default 0.95
+        The level in (0, 1) of the intervals whose widths are predicted (J ± z standard
+        errors).
 
     Returns
     -------
     Plan
+        Which share of the transitions each pair gets, the behaviour policy, and the
+        precision that is predicted for each policy.
 
     Raises
     ------
     ValueError
-        Bad arguments; discount 1 without a horizon; a ``model`` with transitions
-        outside the simulator's support; episodes too short to reach a pair that
-        matters.
+        If an argument is out of its range, if the discount is 1 and there is no
+        horizon, if ``model`` has transitions outside the simulator's support, or if
+        episodes are too short to reach a pair that matters.
+
+    See Also
+    --------
+    oee_tabular.evaluate : Evaluate policies from the log that there is.
+    inference.interval : Compute the interval that the log allows now.
 
     Notes
     -----
     Predictions are first-order and at ``model``: the variance of maximum likelihood
     with the counts that the plan expects. A pair that matters and has no data makes the
-    present error infinite. An estimator that shares information between pairs
+    present standard error infinite. An estimator that shares information between pairs
     (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning.
-    Cost: free, O(S A log(S A)) after two solves a policy; several policies or
-    behaviour, 10 to 40 steps of 20 to 300 products with the collection MDP's
-    transitions.
+
+    Cost: free sampling, O(S A log(S A)) after two solves for each policy; several
+    policies or behaviour, 10 to 40 steps of 20 to 300 products with the collection
+    MDP's transitions.
 
     Examples
     --------
@@ -157,13 +175,12 @@ def plan_data_collection(
     )
     collection = None
     if sampling == "behavior":
-        chance = (
-            1.0 / steps
-            if steps is not None and mdp.discount == 1.0
-            else 1.0 - mdp.discount
-        )
         if restart is not None:
             chance = _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
+        elif steps is not None and mdp.discount == 1.0:
+            chance = 1.0 / steps
+        else:
+            chance = 1.0 - mdp.discount
         collection = collection_mdp(
             truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move
         )
@@ -184,27 +201,36 @@ def plan_data_collection(
         )
         gap = max(0.0, 1.0 - bound / value)
         status = "ok"
-        if gap > LARGEST_GAP:
+        if gap > MAX_GAP:
             status = (
                 f"not finished: another plan may be better by up to {gap:.1%} of the"
                 " variance"
             )
-        is_closed_form = collection is None and len(uncertain) == 1
-        solved_by = (
-            solver
-            if solver == "CLARABEL"
-            else "closed form"
-            if is_closed_form
-            else "interior point"
-        )
+        if solver == "CLARABEL":
+            solved_by = solver
+        elif collection is None and len(uncertain) == 1:
+            solved_by = "closed form"
+        else:
+            solved_by = "interior point"
     elif collection is None:
         q = np.full(base.size, 1.0 / base.size)
     else:
         q = occupancy(collection, uniform_policy(collection)).reshape(-1)
-    now, after = (sum_variances(costs, base, x) for x in (np.zeros_like(base), q))
-    to_least, to_free = (
-        np.divide(after, x, out=np.ones_like(after), where=x > 0.0)
-        for x in (least, free)
+    now = sum_variances(costs, base, np.zeros_like(base))
+    after = sum_variances(costs, base, q)
+    # a policy without variance is 1 from the best plan
+    to_least = np.divide(after, least, out=np.ones_like(after), where=least > 0.0)
+    to_free = np.divide(after, free, out=np.ones_like(after), where=free > 0.0)
+    outlooks = tuple(
+        Outlook(
+            name,
+            float(now[k]),
+            float(after[k]),
+            float(to_least[k]),
+            float(to_free[k]),
+            level,
+        )
+        for k, name in enumerate(named)
     )
     shape = (mdp.n_states, mdp.n_actions)
     return Plan(
@@ -213,19 +239,11 @@ def plan_data_collection(
         confidence=level,
         distribution=q.reshape(shape),
         behavior_policy=behavior_of(q, shape),
-        policies=tuple(
-            Outlook(
-                name,
-                float(now[k]),
-                float(after[k]),
-                float(to_least[k]),
-                float(to_free[k]),
-                level,
-            )
-            for k, name in enumerate(named)
-        ),
+        policies=outlooks,
         gap=gap,
-        next_pairs=next_pairs(table, counts, shape[1], min(number, 10), level),
+        next_pairs=next_pairs(
+            table, counts, shape[1], min(number, MAX_NEXT_PAIRS), level
+        ),
         counts=counts.reshape(shape),
         costs={name: c.reshape(shape) for name, c in zip(named, table, strict=True)},
         optimistic=certain.reshape(shape),
@@ -240,13 +258,10 @@ def plan_data_collection(
 def _counts_and_simulator(
     problem: Problem | FiniteMDP, horizon: int | None
 ) -> tuple[Array, FiniteMDP, int | None]:
-    """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
+    """Return the counts of rows, the simulator with the rewards, and the horizon."""
     if isinstance(problem, FiniteMDP):
-        return (
-            np.zeros(problem.n_states * problem.n_actions),
-            problem,
-            optional_horizon_length(horizon, problem),
-        )
+        counts = np.zeros(problem.n_states * problem.n_actions)
+        return counts, problem, optional_horizon_length(horizon, problem)
     _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ArgumentError(
@@ -258,6 +273,7 @@ def _counts_and_simulator(
 
 
 def _check_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
+    """Check one policy, or a mapping of policies, and return name -> (S, A)."""
     several = split_policies(policies, mdp) if isinstance(policies, Mapping) else None
     if several is None:
         return {"policy": check_policy(policies, mdp, name="policies")}
@@ -272,6 +288,7 @@ def _check_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
 def _check_model(
     problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object
 ) -> tuple[FiniteMDP, str]:
+    """Return the model at which variances are evaluated, and what a plan calls it."""
     if isinstance(model, FiniteMDP):
         if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
             raise ArgumentError(
@@ -290,7 +307,5 @@ def _check_model(
     _checks.one_of(model, "model", ("estimate", "simulator"))
     if model == "simulator" or isinstance(problem, FiniteMDP):
         return mdp, "the simulator"
-    return (
-        transition_ratio(problem.observed, problem.simulator).target_model(mdp),
-        "the estimate from the log",
-    )
+    ratio = transition_ratio(problem.observed, problem.simulator)
+    return ratio.target_model(mdp), "the estimate from the log"

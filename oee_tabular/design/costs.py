@@ -1,8 +1,7 @@
-"""Costs of the state-action pairs: c_x = Var_{s' ~ P'(.|x)}[G_x(s')], and what is
-assumed where the model has no spread.
+"""Costs of state-action pairs: c_x = Var_{s' ~ P'(.|x)}[G_x(s')], also without spread.
 
-The set of plausible rows, and its bounds, are stated at the door of the room
-(``oee_tabular.design``).
+What is plausible in a row where the model has no spread, and its bounds, are stated at
+the door of the room (``oee_tabular.design``).
 """
 
 from __future__ import annotations
@@ -21,12 +20,15 @@ from oee_tabular._sparse import (
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.dual import Box
-from oee_tabular.typing import Array, BoolArray
+from oee_tabular.typing import Array, BoolArray, Csr
 
-ACTION_NOISE = 0.1  # of R: half of it another action, half of it no transition
-CERTAIN = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
-# of the largest cost, and of the largest G^2: costs below are the rounding of 0
-ROUNDING = (1e-24, 1e-28)
+# the probability, under R, that something else than the action happens: half of it is
+# another action, half of it no transition
+ACTION_NOISE = 0.1
+# a row whose largest probability is at least this is deterministic
+MIN_CERTAIN_PROBABILITY = 1.0 - 1e-12
+# shares of the largest cost, and of the largest G^2: smaller costs are rounding of 0
+COST_TOLERANCES = (1e-24, 1e-28)
 
 
 def row_costs(
@@ -40,15 +42,16 @@ def row_costs(
     confidence: float,
     optimistic: bool,
 ) -> tuple[Array, BoolArray]:
-    """Compute c_x (K, S*A) of each policy at ``model`` (on the simulator's support),
-    and the rows (S*A,) with a worst case.
+    """Compute the costs c_x (K, S*A) of the policies, and which rows are optimistic.
 
-    ``counts`` (S*A,) are the log's. Units: those of J, squared. Cost: one policy
-    evaluation and one occupancy a policy.
+    Variances are at ``model``, on the simulator's support, in squared units of J; the
+    optimistic rows (S*A,) have the largest plausible variance. ``counts`` (S*A,) are
+    the log's. Cost: one policy evaluation and one occupancy for each policy.
     """
     largest = np.maximum.reduceat(model.transitions.data, model.transitions.indptr[:-1])
     is_terminal = np.repeat(simulator.closed(), simulator.n_actions)
-    certain = (largest >= CERTAIN) & ~is_terminal & optimistic
+    is_deterministic = largest >= MIN_CERTAIN_PROBABILITY
+    certain = is_deterministic & ~is_terminal & optimistic
     if certain.any():
         model, reference = _add_reference_entries(simulator, model, certain)
         low, high = _bounds(model.transitions, reference, box, counts, confidence)
@@ -61,36 +64,36 @@ def row_costs(
             row[certain] = largest_variances(
                 matrix.indptr, np.flatnonzero(certain), gradient, low, high
             )
-        row[
-            row
-            <= max(ROUNDING[0] * row.max(), ROUNDING[1] * np.abs(gradient).max() ** 2)
-        ] = 0.0
+        of_cost = COST_TOLERANCES[0] * row.max()
+        of_gradient = COST_TOLERANCES[1] * np.abs(gradient).max() ** 2
+        row[row <= max(of_cost, of_gradient)] = 0.0
     return table, certain
 
 
 def _bounds(
-    matrix: sparse.csr_array,
+    matrix: Csr,
     reference: Array,
     box: Box,
     counts: Array,
     confidence: float,
 ) -> tuple[Array, Array]:
-    """Bound each entry; the outcome that the model is sure of keeps what its
-    observations assure.
+    """Bound the probability of each entry in the plausible rows.
+
+    The outcome that the model is certain of keeps what its observations assure.
     """
     lengths = np.diff(matrix.indptr)
-    sure = matrix.data >= CERTAIN
+    sure = matrix.data >= MIN_CERTAIN_PROBABILITY
     low = box.lower * reference
-    high = (
-        np.minimum(box.upper * reference, 1.0)
-        if np.isfinite(box.upper)
-        else 1.0 * (reference > 0.0)
-    )
+    if np.isfinite(box.upper):
+        high = np.minimum(box.upper * reference, 1.0)
+    else:
+        high = 1.0 * (reference > 0.0)
     number = np.repeat(counts, lengths)[sure]
-    assured = np.where(
-        number > 0, (1.0 - confidence) ** (1.0 / np.maximum(number, 1.0)), 0.0
-    )
-    room = 1.0 - np.repeat(row_sums(matrix, np.where(sure, 0.0, low)), lengths)[sure]
+    # the exact lower bound of a probability after n observations of this outcome alone
+    at_least = (1.0 - confidence) ** (1.0 / np.maximum(number, 1.0))
+    assured = np.where(number > 0, at_least, 0.0)
+    others = row_sums(matrix, np.where(sure, 0.0, low))
+    room = 1.0 - np.repeat(others, lengths)[sure]
     low[sure] = np.clip(assured, low[sure], np.minimum(high[sure], room))
     return low, np.asarray(high)
 
@@ -98,41 +101,25 @@ def _bounds(
 def _add_reference_entries(
     simulator: FiniteMDP, model: Model, certain: BoolArray
 ) -> tuple[ReweightedModel, Array]:
-    """Give the model the entries of R in the rows ``certain``, most of them 0, and
-    return R there (0 in the other rows).
+    """Give the model the entries of R in the rows ``certain``, and return R there.
 
-    A transition that the simulator lacks in this row has its reward under another
-    action, or else the row's
+    Most of these entries are 0, as R is in the other rows. A transition that the
+    simulator lacks in a row has its reward under another action, or else the row's
     mean.
     """
     n_states, n_actions = simulator.rewards.shape
     matrix = simulator.transitions
     chosen = sparse.diags_array(certain.astype(np.float64))
-    any_action = sparse.kron(
+    every_action = sparse.kron(
         sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
     )
-    any_action = canonical(chosen @ any_action, drop_zeros=True)
+    any_action = canonical(chosen @ every_action, drop_zeros=True)
     mean = canonical(any_action @ matrix, drop_zeros=False)
     stay = chosen @ sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, 1)))
-    reference = (1.0 - ACTION_NOISE) * (chosen @ matrix) + 0.5 * ACTION_NOISE * (
-        mean + stay
-    )
+    own = (1.0 - ACTION_NOISE) * (chosen @ matrix)
+    reference = own + 0.5 * ACTION_NOISE * (mean + stay)
     pattern = canonical(model.transitions + reference, drop_zeros=True)
-    rewards = None
-    if simulator.reward_data is not None:
-        rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
-        reward_sums = any_action @ csr_on_pattern(
-            matrix, matrix.data * simulator.reward_data, own=True
-        )
-        chance = align(mean, pattern)[0]
-        np.divide(
-            align(canonical(reward_sums, drop_zeros=False), pattern)[0],
-            chance,
-            out=rewards,
-            where=chance > 0.0,
-        )
-        own, is_defined = align(simulator.transition_rewards, pattern)
-        np.copyto(rewards, own, where=is_defined)
+    rewards = _reference_rewards(simulator, any_action, mean, pattern)
     transitions = csr_on_pattern(
         pattern, align(model.transitions, pattern)[0], own=True
     )
@@ -149,16 +136,41 @@ def _add_reference_entries(
     return wider, align(canonical(reference, drop_zeros=True), pattern)[0]
 
 
+def _reference_rewards(
+    simulator: FiniteMDP, any_action: Csr, mean: Csr, pattern: Csr
+) -> Array | None:
+    """Return the reward of each entry of ``pattern``; None if rewards are r(s, a).
+
+    ``any_action`` (S*A, S*A) takes each action of the state equally often, and ``mean``
+    are the transitions of that.
+    """
+    given = simulator.transition_rewards
+    if simulator.reward_data is None or given is None:
+        return None
+    matrix = simulator.transitions
+    rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
+    paid = csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
+    reward_sums = canonical(any_action @ paid, drop_zeros=False)
+    chance = align(mean, pattern)[0]
+    np.divide(align(reward_sums, pattern)[0], chance, out=rewards, where=chance > 0.0)
+    own, is_defined = align(given, pattern)
+    np.copyto(rewards, own, where=is_defined)
+    return rewards
+
+
 @njit(cache=True)
 def largest_variances(indptr, rows, values, low, high):
-    """max Var_p[v] over low <= p <= high, sum p = 1, of each of ``rows`` of a CSR
-    pattern (sum low <= 1 <= sum high).
+    """Compute max Var_p[v] over low <= p <= high, sum p = 1, in rows of a CSR pattern.
+
+    d Var / d mass = (y - x) (2 E v - x - y) for mass that goes from value y to value x.
 
     A best p has what is free above ``low`` at both ends of the sorted values. All of it
     is put at the upper end, and from there, the least value y first, to the lower end,
-    the least value x first: d Var / d mass = (y - x) (2 E v - x - y), which changes its
-    sign once. The largest variance of v in {0, 1}; with the mass of the 1 at most 0.1;
-    in [0.6, 0.7]:
+    the least value x first; the derivative changes its sign once. Every row needs
+    sum low <= 1 <= sum high.
+
+    The largest variance of v in {0, 1}, with any mass on the 1, with a mass of at most
+    0.1, and with one in [0.6, 0.7]:
 
     >>> bounds = np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2]), np.array([1.0, 1.0, 1.0, 0.1, 0.4, 0.7])
     >>> largest_variances(np.array([0, 2, 4, 6]), np.arange(3), np.array([0.0, 1.0] * 3), *bounds).round(9)
@@ -176,14 +188,16 @@ def largest_variances(indptr, rows, values, low, high):
         free = 1.0 - p.sum()
         upper = len(order)
         lower = 0
+        # all free mass goes to the largest values
         while free > 0.0 and upper > 0:
             upper -= 1
             moved[upper] = min(free, room[upper])
             free -= moved[upper]
         p, room, mean = p + moved, room - moved, np.sum((p + moved) * v)
         gain = 1.0
+        # and from the least of these to the smallest, while that raises the variance
         while gain > 0.0:
-            # what lies on the entry that is being filled may stay
+            # mass on the entry that is being filled may stay
             upper = max(upper, lower + 1)
             if upper == len(order):
                 break

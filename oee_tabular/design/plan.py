@@ -1,10 +1,10 @@
-"""The result of ``plan_data_collection``: the plan and the precision that it predicts."""
+"""The result of ``plan_data_collection``: a plan and the precision it predicts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy import special
@@ -26,13 +26,25 @@ class Outlook:
 
     Attributes
     ----------
-    name : the policy's
-    variance_now, variance_after : asymptotic variance of J with the log, and after the
-        plan; inf if a state-action pair that matters has no data
-    inefficiency : variance_after divided by the smallest that a plan for this policy
-        alone reaches (1 at best)
-    free_inefficiency : the same if any pair could be recorded
-    confidence : of ``width``
+    name : str
+        The name of the policy.
+    variance_now : float
+        The asymptotic variance of J with the log, in squared units of J; inf if a
+        state-action pair that matters has no data.
+    variance_after : float
+        The asymptotic variance of J after the plan; inf if a pair that matters has no
+        data then.
+    inefficiency : float
+        ``variance_after`` divided by the smallest that a plan for this policy alone
+        reaches; 1 at best.
+    free_inefficiency : float
+        The same relative to a plan in which any pair could be recorded.
+    confidence : float
+        The level of ``width``, in (0, 1).
+
+    See Also
+    --------
+    Plan : The plan with the outlooks of all policies.
 
     Examples
     --------
@@ -53,42 +65,63 @@ class Outlook:
 
     @property
     def standard_error(self) -> tuple[float, float]:
-        """(now, after), units of J."""
+        """Return the standard error now and after the plan, in the unit of J."""
         return float(np.sqrt(self.variance_now)), float(np.sqrt(self.variance_after))
 
     @property
     def width(self) -> tuple[float, float]:
-        """(now, after): 2 z standard errors, the interval J -+ z standard errors."""
+        """Return the width of J -+ z standard errors, now and after the plan."""
         z = float(special.ndtri(0.5 + self.confidence / 2.0))
         return 2.0 * z * self.standard_error[0], 2.0 * z * self.standard_error[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Where to record the next ``n`` transitions.
+    """A plan: where to record the next ``n`` transitions.
 
     Attributes
     ----------
-    sampling : "free" or "behavior"
-    n, confidence : as asked for
-    distribution : (S, A), sums to 1: the share of the n transitions that each pair gets
-        ("behavior": on average)
-    behavior_policy : (S, A): distribution / sum over actions, uniform in states that it
-        never visits
-    policies : an Outlook for each policy
-    gap : certificate: the relative optimality gap of the criterion (the largest
-        inefficiency)
-    next_pairs : the best next single pairs, one after another (at most 10): those that
-        most reduce the summed interval widths 2 z se, by z c_x / (n_x (n_x + 1)) / se
-        each; a pair never recorded by 2 z sqrt(c_x)
-    counts : (S, A) the log's
-    costs : name -> (S, A) c_x, squared units of J
-    optimistic : (S, A) where the model is deterministic, and c_x is the largest
-        plausible variance
-    restart : probability of a restart after each transition; None for free sampling
-    names : of states and actions
-    model, solver, status : the model at which variances are evaluated, the solver, "ok"
-        or the problem
+    sampling : {'free', 'behavior'}
+        Whether any pair can be recorded, or a behaviour policy records.
+    n : int
+        The number of transitions that are planned.
+    confidence : float
+        The level of the predicted widths, in (0, 1).
+    distribution : ndarray of shape (S, A)
+        The share of the n transitions that each pair gets ("behavior": on average); it
+        sums to 1.
+    behavior_policy : ndarray of shape (S, A)
+        The distribution divided by its sum over actions; uniform in states that it
+        never visits.
+    policies : tuple of Outlook
+        The predicted precision for each policy.
+    gap : float
+        The certificate: relative optimality gap of the criterion, the largest
+        inefficiency.
+    next_pairs : tuple of (int, int)
+        The best next single pairs (s, a), one after another, at most 10. They most
+        reduce the summed interval widths 2 z se: by z c_x / (n_x (n_x + 1)) / se each,
+        and a pair never recorded by 2 z sqrt(c_x).
+    counts : ndarray of shape (S, A)
+        The counts of the log.
+    costs : dict of str to ndarray of shape (S, A)
+        The costs c_x of each policy, in squared units of J.
+    optimistic : ndarray of shape (S, A)
+        Whether the model is deterministic and c_x is the largest plausible variance.
+    restart : float or None
+        The probability of a restart after each transition; None for free sampling.
+    model : str
+        The model at which variances are evaluated, in words.
+    solver : str
+        How the plan was found.
+    status : str
+        "ok", or why the plan is not the best.
+    names : Names
+        The names of states and actions.
+
+    See Also
+    --------
+    plan_data_collection : Make a plan.
 
     Examples
     --------
@@ -101,7 +134,7 @@ class Plan:
     [0.66, 0.56]
     """
 
-    sampling: str
+    sampling: Literal["free", "behavior"]
     n: int
     confidence: float
     distribution: Array
@@ -120,64 +153,68 @@ class Plan:
 
     @property
     def inefficiency(self) -> float:
-        """The largest of the policies': variance over the smallest that a plan for that
-        policy alone reaches.
+        """Return the largest inefficiency of the policies.
+
+        It is the variance over the smallest that a plan for that policy alone reaches.
         """
         return max(outlook.inefficiency for outlook in self.policies)
 
     @property
     def free_inefficiency(self) -> float:
-        """The largest of the policies', relative to recording any pairs for that policy
-        alone.
-        """
+        """Return the largest inefficiency relative to recording any pairs."""
         return max(outlook.free_inefficiency for outlook in self.policies)
 
     @property
     def expected_standard_error(self) -> tuple[float, float]:
-        """(now, after n more transitions) of J, the largest of the policies'."""
-        now, after = zip(
-            *(outlook.standard_error for outlook in self.policies), strict=True
-        )
-        return max(now), max(after)
+        """Return the largest standard error of the policies, now and after the plan."""
+        errors = [outlook.standard_error for outlook in self.policies]
+        return max(now for now, _ in errors), max(after for _, after in errors)
 
     @property
     def expected_width(self) -> tuple[float, float]:
-        """(now, after n more transitions) of the interval for J, the largest of the
-        policies'.
-        """
-        now, after = zip(*(outlook.width for outlook in self.policies), strict=True)
-        return max(now), max(after)
+        """Return the largest interval width of the policies, now and after the plan."""
+        widths = [outlook.width for outlook in self.policies]
+        return max(now for now, _ in widths), max(after for _, after in widths)
 
     @property
     def unrecorded(self) -> int:
-        """The number of pairs that matter to a policy and were never recorded."""
-        return int(
-            np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0))
-        )
+        """Return how many pairs that matter to a policy were never recorded."""
+        matters = np.max(list(self.costs.values()), axis=0) > 0
+        return int(np.sum((self.counts == 0) & matters))
 
     @property
     def allocation(self) -> IntArray:
-        """(S, A) whole numbers of transitions that sum to n: n * distribution, the
-        largest remainders rounded up.
+        """Return whole numbers of transitions (S, A) that sum to n.
+
+        They are n * distribution, with the largest remainders rounded up.
         """
         exact = self.n * self.distribution.reshape(-1)
         whole = np.floor(exact)
-        order = np.argsort(-(exact - whole), kind="stable")[: self.n - int(whole.sum())]
-        whole[order] += 1.0
+        missing = self.n - int(whole.sum())
+        largest_remainders = np.argsort(-(exact - whole), kind="stable")[:missing]
+        whole[largest_remainders] += 1.0
         return whole.reshape(self.distribution.shape).astype(np.int64)
 
     @property
     def advice(self) -> str:
-        """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
+        """Return the first of ``next_pairs`` in a sentence, as a report does."""
         costs = np.array(list(self.costs.values()))
         return advice_sentence(
             self.next_pairs, costs, self.counts, self.optimistic, self.names
         )
 
     def after(self, m: int) -> dict[str, Outlook]:
-        """The outlook after m more transitions, instead of n, of the same distribution.
+        """Return the outlook after m transitions of the same distribution.
 
-        The inefficiencies are the plan's own (for n).
+        Parameters
+        ----------
+        m : int
+            The number of transitions in place of n, at least 1.
+
+        Returns
+        -------
+        dict of str to Outlook
+            The outlook of each policy. The inefficiencies are the plan's own (for n).
         """
         number = _checks.positive_integer(m, "m")
         total = (self.counts + number * self.distribution).reshape(-1)
@@ -189,11 +226,17 @@ class Plan:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """The same as ``str``, as plain values; states and actions by name if they have
-        names.
+        """Return what the plan prints, as plain values.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, lists and dicts; states and actions by name if they have
+            names.
         """
 
         def pair(s: int, a: int) -> dict[str, Any]:
+            """Return a state and an action by number, or by name."""
             numbers = {
                 "state": (self.names.states, s),
                 "action": (self.names.actions, a),
@@ -228,18 +271,28 @@ class Plan:
         }
 
     def _largest_shares(self) -> list[tuple[int, int]]:
+        """Return the five pairs with the largest shares of the transitions."""
         order = np.argsort(-self.distribution, axis=None, kind="stable")[:5]
         return [divmod(int(row), self.distribution.shape[1]) for row in order]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the states where the plan records most, with their counts in the log;
-        without ``ax`` on new axes.
+        """Draw the states where the plan records most, with their counts in the log.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            The axes to draw on. None makes new ones.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes with the picture.
         """
         numbers = range(len(self.counts))
-        names = [
-            f"state {s}" if self.names.states is None else self.names.state(s)
-            for s in numbers
-        ]
+        if self.names.states is None:
+            names = [f"state {s}" for s in numbers]
+        else:
+            names = [self.names.state(s) for s in numbers]
         return plot_states(
             self.distribution,
             self.counts,
@@ -268,10 +321,8 @@ class Plan:
             ),
         ]
         for o in self.policies:
-            error, width = (
-                f"{now:>10.3g} -> {after:<9.3g}"
-                for now, after in (o.standard_error, o.width)
-            )
+            error = _write_change(o.standard_error)
+            width = _write_change(o.width)
             lines.append(
                 f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f} "
                 f" {o.free_inefficiency:>8.3f}"
@@ -279,7 +330,7 @@ class Plan:
         return "\n".join([*lines, *self._notes()])
 
     def _notes(self) -> list[str]:
-        """The lines below the table."""
+        """Return the lines below the table."""
         lines = [
             (
                 "std. errors, widths: for maximum likelihood, without the prior of oee"
@@ -298,10 +349,8 @@ class Plan:
         ]
         lines += ["largest shares: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
-            lines.append(
-                "then one transition each:"
-                f" {', '.join(describe(s, a) for s, a in self.next_pairs[1:])}"
-            )
+            following = ", ".join(describe(s, a) for s, a in self.next_pairs[1:])
+            lines.append(f"then one transition each: {following}")
         if self.unrecorded:
             lines.append(
                 "state-action pairs that matter and were never recorded:"
@@ -319,6 +368,7 @@ class Plan:
 
     def _repr_html_(self) -> str:
         def change(ends: tuple[float, float]) -> str:
+            """Write a number now and after the plan."""
             return f"{ends[0]:.3g} → {ends[1]:.3g}"
 
         level = f"{100 * self.confidence:.4g}% width"
@@ -341,3 +391,9 @@ class Plan:
         ]
         caption = f"Plan for {self.n} transitions; values: {_printing.SUM}"
         return _printing.table(header, rows, caption=caption, below=self._notes())
+
+
+def _write_change(ends: tuple[float, float]) -> str:
+    """Write a number now and after the plan, in columns of the table."""
+    now, after = ends
+    return f"{now:>10.3g} -> {after:<9.3g}"

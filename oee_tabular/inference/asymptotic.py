@@ -45,7 +45,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
 from oee_tabular.mdp.horizons import horizon_length, total_discount
-from oee_tabular.typing import Array, Seed
+from oee_tabular.typing import Array, IntArray, Seed
 
 MIN_EPISODES = 10  # that a bootstrap of episodes resamples
 
@@ -101,19 +101,10 @@ def bootstrap_values(
         )
     n = len(log)
     size = len(evidence.phat)
-    starts = log.episode_starts
-    n_episodes = 0 if starts is None else len(starts) - 1
+    n_episodes = 0
     if by == "episodes":
-        if starts is None:
-            raise ArgumentError(
-                "log", "must have episodes to be resampled by episodes; it has none"
-            )
-        if n_episodes < MIN_EPISODES:
-            raise ArgumentError(
-                "log",
-                f"must have at least {MIN_EPISODES} episodes to be resampled by"
-                f" episodes; it has {n_episodes}",
-            )
+        starts = _check_episodes(log.episode_starts)
+        n_episodes = len(starts) - 1
         episode = np.repeat(np.arange(n_episodes), np.diff(starts))
     share = np.bincount(entry, weights=weight, minlength=size) / n
     taken = PolicyRows.from_evidence(evidence)
@@ -124,10 +115,10 @@ def bootstrap_values(
         if by == "episodes":
             chosen = generator.integers(0, n_episodes, n_episodes)
             number = np.bincount(chosen, minlength=n_episodes)
-            drawn = np.bincount(entry, weights=number[episode], minlength=size)
+            counted = np.bincount(entry, weights=number[episode], minlength=size)
         else:
-            drawn = generator.multinomial(n, share)
-        drawn = drawn.astype(np.float64)
+            counted = generator.multinomial(n, share)
+        drawn = counted.astype(np.float64)
         has_data = rows.spread(rows.sums(drawn)) > 0
         p = np.where(has_data, rows.frequencies(drawn), rows.weights)
         if is_quick:
@@ -137,6 +128,22 @@ def bootstrap_values(
                 evidence.with_rows(p), evidence.policy, horizon=evidence.horizon
             )
     return values
+
+
+def _check_episodes(starts: IntArray | None) -> IntArray:
+    """Return where episodes start, if there are enough of them to be resampled."""
+    if starts is None:
+        raise ArgumentError(
+            "log", "must have episodes to be resampled by episodes; it has none"
+        )
+    n_episodes = len(starts) - 1
+    if n_episodes < MIN_EPISODES:
+        raise ArgumentError(
+            "log",
+            f"must have at least {MIN_EPISODES} episodes to be resampled by"
+            f" episodes; it has {n_episodes}",
+        )
+    return starts
 
 
 class Margin(NamedTuple):

@@ -445,15 +445,7 @@ def compare_policies(
         draws = values + normal @ _root(covariance).T
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        # the same resamples for every policy keep the correlation of their values
-        fixed = int(generator.integers(1 << 62))
-        resampled = [
-            bootstrap_values(
-                problem, e, by="transitions", n_bootstrap=number, seed=fixed
-            )
-            for e in evidences
-        ]
-        draws = np.column_stack(resampled)
+        draws = _resample(problem, evidences, number, generator)
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
     best = _probability_best(draws)
@@ -479,6 +471,24 @@ def compare_policies(
         np.array([_unrecorded_share(problem, evidences[i]) for i in order]),
         level,
     )
+
+
+def _resample(
+    problem: Problem,
+    evidences: list[Evidence],
+    n_bootstrap: int,
+    generator: np.random.Generator,
+) -> Array:
+    """Return the values (n_bootstrap, k) of the policies in common resamples."""
+    # the same resamples for every policy keep the correlation of their values
+    seed = int(generator.integers(1 << 62))
+    values = [
+        bootstrap_values(
+            problem, e, by="transitions", n_bootstrap=n_bootstrap, seed=seed
+        )
+        for e in evidences
+    ]
+    return np.column_stack(values)
 
 
 def _probability_best(draws: Array) -> Array:

@@ -156,8 +156,10 @@ def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
         order = csgraph.breadth_first_order(graph, size, return_predecessors=False)
         is_reached[order] = True
     else:
-        distance = csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps)
-        is_reached = np.isfinite(distance)
+        distances = csgraph.dijkstra(
+            graph, indices=[size], unweighted=True, limit=steps
+        )
+        is_reached = np.isfinite(distances[0])
     return np.asarray((is_reached[:size, None] & taken).reshape(-1))
 
 

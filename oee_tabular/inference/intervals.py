@@ -381,9 +381,9 @@ def value_range(
     policy : PolicyLike
         The policy; with a horizon T also an array of shape (T, S, A).
     lower_ratio : float or None
-        nu in [0, 1]; 0 or None sets no lower bound.
+        Lower bound nu in [0, 1]; 0 or None sets no lower bound.
     upper_ratio : float or None
-        mu in [1, inf]; inf or None sets no upper bound.
+        Upper bound mu in [1, inf]; inf or None sets no upper bound.
     horizon : int, optional
         Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
 

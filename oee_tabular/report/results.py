@@ -673,7 +673,7 @@ def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
 
     They are None where there is no such interval.
     """
-    lower, upper = None, None
-    if interval is not None and interval.sampling is not None:
-        lower, upper = interval.sampling
+    if interval is None or interval.sampling is None:
+        return {"sampling_lower": None, "sampling_upper": None}
+    lower, upper = interval.sampling
     return {"sampling_lower": lower, "sampling_upper": upper}

@@ -115,10 +115,13 @@ def comparison_table(report: Report) -> list[str]:
         "P(best)": lambda row: best(row) or "-",
         "below the top row by": write_difference,
     }
+
+    def exact_value(row: Row) -> str:
+        """Write the exact value of a policy, in the report's unit."""
+        return f"{report.truth[row['policy']] * report.scale:.6g}"
+
     if report.truth:
-        columns["exact value"] = lambda row: (
-            f"{report.truth[row['policy']] * report.scale:.6g}"
-        )
+        columns["exact value"] = exact_value
     lines = align(columns, rows, n_texts=1)
     if any(row["probability_best"] is None for row in rows):
         lines.append(text.NO_P_BEST)

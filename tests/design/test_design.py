@@ -268,7 +268,7 @@ def test_rows_that_the_log_lacks_come_first():
 
 
 def test_a_plan_without_a_good_certificate_says_so(monkeypatch):
-    monkeypatch.setattr(programs, "N_NEWTON_STEPS", 1)
+    monkeypatch.setattr(programs, "MAX_NEWTON_STEPS", 1)
     plan = plan_data_collection(SIMULATOR, THREE, n=10, sampling="behavior")
     assert plan.status.startswith("not finished: another plan may be better by up to")
     assert plan.status in str(plan)

@@ -260,7 +260,8 @@ def test_a_tie_is_features_that_are_indicators_of_its_keys():
     assert_allclose(
         [tied.lower, tied.upper], [features.lower, features.upper], rtol=1e-6
     )
-    assert tied.method == "likelihood under the tie"
+    assert (tied.method, tied.under) == ("likelihood under the tie", "the tie")
+    assert ", 95% likelihood interval under the tie; " in str(tied)
     assert tied.diagnostics["n_parameters"] == 4
 
 

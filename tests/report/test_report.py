@@ -4,6 +4,7 @@ takes.
 
 import json
 import math
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED
+from oee_tabular.estimators.names import ALIASES, NAMED, EstimatorName
 from oee_tabular.report import text
 from oee_tabular.report.text import Answer
 
@@ -496,3 +498,7 @@ def test_numbers():
         "1,234 pairs",
     ]
     assert text.format_value(-0.123456, -1.0, 1.0) == "−0.123"
+
+
+def test_the_names_that_type_checkers_know_are_those_that_evaluate_takes():
+    assert get_args(EstimatorName) == (*NAMED, *ALIASES)
