@@ -102,9 +102,10 @@ def evaluate(
     estimators : names, estimators, or a mapping from names to estimators, optional
         What evaluates the policies: names such as ``"oee"``, ``"model-based"`` or
         ``"wpdis"``, estimator objects such as ``oee.estimators.OffEnvironment()``, and
-        functions of (problem, policy) or (problem, policy, seed). None means the
-        simulator, off-environment evaluation, the model-based baseline, and importance
-        sampling where the log has episodes and the behaviour policy is known.
+        functions of (problem, policy) or (problem, policy, seed). All names are in
+        ``oee_tabular.estimators.names``. None means the simulator, off-environment
+        evaluation, the model-based baseline, and importance sampling where the log has
+        episodes and the behaviour policy is known.
     confidence : float, default 0.95
         The level of all intervals, in (0, 1).
     seed : Seed, optional
@@ -146,8 +147,9 @@ def evaluate(
     Report
         The estimates with their intervals, in the order policy, estimator.
         ``print(report)`` begins with the answer, ``report.table`` is a data frame,
-        ``report.best`` is the best policy, ``report.warnings`` limits the answer, and
-        ``report.to_html(path)`` writes a page for readers who did not run it.
+        ``report.best`` names the best policy, ``report.warnings`` lists what limits the
+        answer, and ``report.to_html(path)`` writes a page for readers who did not run
+        it.
 
     Raises
     ------
@@ -178,14 +180,16 @@ def evaluate(
     --------
     >>> import oee_tabular as oee
     >>> pair = oee.testing.case("ragged")
-    >>> report = evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, estimators=["simulator", "wpdis"], seed=0)
+    >>> problem = pair.problem(1000, seed=0)  # a simulator, and a log of 1000 transitions
+    >>> names = ["simulator", "wpdis"]
+    >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
     >>> report.uncertainty.sentences[0]
     'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
     """
-    _check_flags(
-        normalized=normalized, guaranteed=guaranteed, quick=quick, problem=problem
+    _check_problem_and_flags(
+        problem, normalized=normalized, guaranteed=guaranteed, quick=quick
     )
     if facts is not None:
         _checks.instance(facts, Mapping, "facts")
@@ -356,8 +360,8 @@ def contest(
     )
 
 
-def _check_flags(
-    *, normalized: bool, guaranteed: bool, quick: bool, problem: Problem
+def _check_problem_and_flags(
+    problem: Problem, *, normalized: bool, guaranteed: bool, quick: bool
 ) -> None:
     """Check the problem and the options of ``evaluate`` that are true or false."""
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
