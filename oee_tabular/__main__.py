@@ -1,4 +1,4 @@
-"""``python -m oee_tabular`` is the command ``oee``."""
+"""The command ``oee``, started by ``python -m oee_tabular``."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import os
 import signal
 import sys
 
-# nothing else is imported here: what comes before main is not caught
+# nothing else is imported here, because Ctrl-C during these imports is not caught
 
-INTERRUPTED = 130  # the exit code of what Ctrl-C ended
+INTERRUPTED = 130  # the shell's exit code of a process that Ctrl-C ended
 
 
 def main() -> None:
-    """The command; Ctrl-C ends it without a traceback, while it is still importing and
-    when it has already ended as well.
+    """Run the command; Ctrl-C ends it without a traceback at any time.
+
+    This includes the time in which it imports, and the time after its end.
     """
-    # else whoever started it wants it ignored
+    # with another handler, whoever started the command wants Ctrl-C ignored
     handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handled:
         signal.signal(signal.SIGINT, _leave)
@@ -33,7 +34,7 @@ def main() -> None:
 
 
 def _leave(*_: object) -> None:
-    """Nothing is to be tidied up."""
+    """End the process at once, because there is nothing to clean up."""
     os._exit(INTERRUPTED)
 
 

@@ -1,4 +1,4 @@
-"""The command ``oee``: its commands, in the order of the help, and their frame.
+"""The command ``oee``: its subcommands, their help and their errors.
 
 What is slow to import (numba, cvxpy, pandas) is imported where it is used.
 """
@@ -13,22 +13,35 @@ from collections import Counter
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from oee_tabular import _progress
 from oee_tabular.cli import files, values
+from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
 from oee_tabular.exceptions import ArgumentError
 
 
+def _as_terminal_text(markdown: str) -> str:
+    """Leave out the backticks that the site's page needs."""
+    return markdown.replace("`", "")
+
+
 class Command(TyperCommand):
-    """A command that refuses an option given twice, whose errors name its options, and
-    whose help has them in groups.
+    """A command whose options are given once, and whose errors name its options.
+
+    Its help has the options in groups. The epilog, which the site's page of commands
+    shows, has the details of the values; the terminal shows some of them.
     """
 
+    def __init__(self, name: str | None, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.epilog = to_markdown(name or "", self.params)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the words; refuse a second value of an option that takes one, of which
-        the first would be lost.
+        """Parse the words, and refuse a second value of an option that takes one.
+
+        Without this check, the first value would be lost.
         """
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
@@ -39,9 +52,7 @@ class Command(TyperCommand):
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; an error that begins with the name of an argument begins
-        with the option's instead.
-        """
+        """Run the command; in an error, an argument gets the name of its option."""
         try:
             return super().invoke(ctx)
         except ArgumentError as error:
@@ -59,26 +70,47 @@ class Command(TyperCommand):
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write one list for each group."""
+        """Write one list of options for each group."""
         groups: dict[str, list[tuple[str, str]]] = {title: [] for title in GROUPS}
         for parameter in self.get_params(ctx):
-            if (record := parameter.get_help_record(ctx)) is not None:
-                groups.setdefault(
-                    getattr(parameter, "rich_help_panel", None) or "Options", []
-                ).append(record)
-        for title in filter(groups.get, groups):  # which has no empty lists
-            with formatter.section(title):
-                formatter.write_dl(groups[title])
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                option, text = record
+                title = getattr(parameter, "rich_help_panel", None) or "Options"
+                groups.setdefault(title, []).append((option, _as_terminal_text(text)))
+        for title, rows in groups.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the values that most calls need, in place of the whole epilog."""
+        for title, forms in details_of(self.name or "", self.params).items():
+            if title in IN_TERMINAL:
+                rows = [(form, _as_terminal_text(text)) for form, text in forms.items()]
+                with formatter.section(f"Values of {title}"):
+                    formatter.write_dl(rows)
+
+
+class Group(TyperGroup):
+    """The command ``oee`` itself, whose epilog has commands in backticks."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the epilog as text of a terminal."""
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(_as_terminal_text(self.epilog or ""))
 
 
 app = typer.Typer(
+    cls=Group,
     help=(
         "What return will a policy get in the target, given a simulator and a log of"
         " the target?"
     ),
     epilog=(
-        "Begin with: oee evaluate (an example), oee sample --help (a log), oee evaluate"
-        " --help (your own files)."
+        "Begin with: `oee evaluate` (an example), `oee sample --help` (a log),"
+        " `oee evaluate --help` (your own files)."
     ),
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -102,7 +134,7 @@ for command in (
 
 
 def print_version(is_asked: bool) -> None:
-    """Print the version and end."""
+    """Print the version and end the command."""
     if is_asked:
         from oee_tabular import __version__
 
@@ -125,16 +157,22 @@ def options(
     """Evaluate policies in a target environment, given a simulator and a log."""
 
 
-def _tell(message: Warning | str, *_: object, **__: object) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning as one line on stderr."""
     say(f"oee: warning: {message}", err=True)
 
 
+def _show_step(sentence: str) -> None:
+    """Print on stderr what is being done."""
+    typer.echo(f"oee: {sentence}", err=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command; an error of the user's is one line on stderr and exit code 2."""
-    # the interpreter's last collection, of all modules, would take .2 s
+    """Run the command; a user's error is one line on stderr and exit code 2."""
+    # the last garbage collection of the interpreter would take 0.2 s
     atexit.register(gc.freeze)
-    warnings.showwarning = _tell
-    _progress.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
+    warnings.showwarning = _show_warning
+    _progress.tell = _show_step
     try:
         with _progress.show_steps():
             app(arguments, standalone_mode=True)
@@ -144,17 +182,16 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _sentence(error: Exception) -> str:
+    """Return the message of an error as a user reads it."""
     if isinstance(error, MemoryError):
         words = str(error).replace("Unable to allocate", "this needs", 1)
         return f"not enough memory; {words or 'this needs more than there is'}"
     if isinstance(error, FileNotFoundError) and error.filename:
-        return (
-            f"no such {'folder' if error.strerror == 'no such folder' else 'file'}:"
-            f" {error.filename}"
-        )
+        kind = "folder" if error.strerror == "no such folder" else "file"
+        return f"no such {kind}: {error.filename}"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
-    # of no file that we opened: standard output
+    # an error without a file name comes from standard output
     if isinstance(error, OSError) and error.strerror:
         return f"the output cannot be written ({error.strerror})"
     return str(error)

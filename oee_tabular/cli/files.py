@@ -1,239 +1,383 @@
-"""The commands of files: record a log, count it, write a policy or a simulator, say
-what a file holds.
-"""
+"""Commands of files: record a log, count it, write a policy or a simulator, describe."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
 from oee_tabular.cli.inputs import describe_new, policy_of, task_of, write_array
-from oee_tabular.cli.options import Options, answer, with_options
+from oee_tabular.cli.options import (
+    INPUT,
+    OUTPUT,
+    ActionNoiseOption,
+    DaskOption,
+    DiscountOption,
+    InitialOption,
+    JobsOption,
+    JsonOption,
+    OptionalSimulatorOption,
+    OverwriteOption,
+    SeedOption,
+    SimulatorArgument,
+    print_result,
+)
 from oee_tabular.continuous.command import is_continuous, record_log, task_options
+from oee_tabular.typing import Array
+
+MAX_STEPS = 1000  # of an episode, where nothing else limits it
 
 
-@with_options("""
-Input:
-environment! SIM  {SIMULATOR}.
---policy=uniform SPEC  {POLICY}.
---transitions N  How many transitions to record.
---episodes N  How many episodes to record.
---horizon T  Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.
---initial
---task-option* NAME=VALUE  Of a Gymnasium environment with continuous states, repeatable. state=MODULE:GET,SET: functions
-    get(env) and set(env, state), where its state is not found. actions=9 or -2,0,2: levels of each coordinate of a Box of
-    actions, or the commands.
-Value:
---discount --seed
-Output:
---output! FILE  The log: .npz, .csv, .parquet, or a new Minari folder.
---overwrite
---json  Print JSON instead, with version, file, transitions, episodes.
-""")
-def sample(options: Options) -> None:
+def sample(
+    *,
+    environment: SimulatorArgument,
+    policy: Annotated[
+        str,
+        typer.Option(
+            "--policy",
+            metavar="SPEC",
+            help="Policy that records the log.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "uniform",
+    transitions: Annotated[
+        int | None,
+        typer.Option(
+            "--transitions",
+            metavar="N",
+            help="Number of transitions to record.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            "--episodes",
+            metavar="N",
+            help="Number of episodes to record.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    horizon: Annotated[
+        int | None,
+        typer.Option(
+            "--horizon",
+            metavar="T",
+            help="Longest episode; without it, 1000 steps or the task's own limit.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    initial: InitialOption = None,
+    task_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--task-option",
+            metavar="NAME=VALUE",
+            help=(
+                "Setting of a Gymnasium environment with continuous states,"
+                " repeatable: state or actions."
+            ),
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    discount: DiscountOption = None,
+    seed: SeedOption = 0,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="The log: .npz, .csv, .parquet, or a new Minari folder.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Record a log.
 
     A Gymnasium environment is stepped through its own step(); a continuous task gives
-    continuous states. States and actions stand there by name where the simulator has
+    continuous states. States and actions are written by name where the simulator has
     names; a Minari folder has numbers.
     """
-    if (options.transitions is None) == (options.episodes is None):
+    if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
-    for name in ("transitions", "episodes", "horizon"):
-        if getattr(options, name) is not None:
-            positive_integer(getattr(options, name), f"--{name}")
-    _files.new_file(options.output, "--output", overwrite=options.overwrite)
-    settings = task_options(options.task_option, ("state", "actions"))
-    limits = {
-        "n_transitions": options.transitions,
-        "n_episodes": options.episodes,
-        "seed": options.seed,
+    numbers = {
+        "--transitions": transitions,
+        "--episodes": episodes,
+        "--horizon": horizon,
     }
-    if is_continuous(options.environment):
+    for option, number in numbers.items():
+        if number is not None:
+            positive_integer(number, option)
+    _files.new_file(output, "--output", overwrite=overwrite)
+    settings = task_options(task_option, ("state", "actions"))
+    log: Any
+    if is_continuous(environment):
         log = record_log(
-            options.environment,
-            options.policy,
+            environment,
+            policy,
             settings,
-            max_steps=options.horizon,
-            **limits,
+            max_steps=horizon,
+            n_transitions=transitions,
+            n_episodes=episodes,
+            seed=seed,
         )
         text = repr(log)
     else:
-        log = _record(options, settings, limits)
+        task = task_of(environment, discount, initial)
+        if settings:
+            raise ValueError(
+                "--task-option needs a continuous task (--simulator"
+                " cartpole:gravity=10)"
+            )
+        log = _record(
+            task,
+            policy_of(policy, task, "policy"),
+            n_transitions=transitions,
+            n_episodes=episodes,
+            max_steps=horizon or MAX_STEPS,
+            seed=seed,
+            # reset() of an environment takes no first state
+            is_stepped=task.environment is not None and initial is None,
+        )
+        # a Minari data set, which is a folder, holds numbers
+        if output.suffix:
+            log = oee.Transitions(
+                **log.columns(),
+                state_names=task.mdp.state_names,
+                action_names=task.mdp.action_names,
+            )
         text = log.describe()
-    log.save(options.output)
+    log.save(output)
     record = {
-        "file": str(options.output),
+        "file": str(output),
         "transitions": len(log),
         "episodes": log.n_episodes,
     }
-    answer(f"{options.output}: {text}", record, options.json)
+    print_result(f"{output}: {text}", record, as_json)
 
 
-def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
-    """Record a log of numbered states, with their names where the file can hold them."""
+def _record(
+    task: oee.tasks.NamedTask,
+    policy: Array,
+    *,
+    n_transitions: int | None,
+    n_episodes: int | None,
+    max_steps: int,
+    seed: int,
+    is_stepped: bool,
+) -> Any:
+    """Record a log of numbered states, from the environment or from its FiniteMDP."""
     from oee_tabular.simulate.sampler import episodes_holding
 
-    task = task_of(options.environment, options.discount, options.initial)
-    if settings:
-        raise ValueError(
-            "--task-option needs a continuous task (--simulator cartpole:gravity=10)"
-        )
-    policy = policy_of(options.policy, task, "policy")
-    mdp = task.mdp
-    steps = options.horizon or 1000
-    # which reset() does not take
-    if task.environment is not None and options.initial is None:
+    if is_stepped and task.environment is not None:
         environment = task.environment()
-        log = oee.record_episodes(environment, policy, max_steps=steps, **limits)
-        environment.close()
-    elif options.episodes is not None:
-        log = oee.sample_episodes(
-            mdp, policy, options.episodes, steps, seed=options.seed
+        log = oee.record_episodes(
+            environment,
+            policy,
+            max_steps=max_steps,
+            n_transitions=n_transitions,
+            n_episodes=n_episodes,
+            seed=seed,
         )
-    else:
-        n = options.transitions
-        log = episodes_holding(mdp, policy, n, steps, seed=options.seed).first(n)
-    if options.output.suffix == "":  # a Minari data set holds numbers
+        environment.close()
         return log
-    return oee.Transitions(
-        **log.columns(), state_names=mdp.state_names, action_names=mdp.action_names
-    )
+    if n_episodes is not None:
+        return oee.sample_episodes(task.mdp, policy, n_episodes, max_steps, seed=seed)
+    assert n_transitions is not None  # one of the two is given
+    episodes = episodes_holding(task.mdp, policy, n_transitions, max_steps, seed=seed)
+    return episodes.first(n_transitions)
 
 
-@with_options("""
-Input:
-simulator! SIM  {SIMULATOR}.
-spec! SPEC  {POLICY}.
-Value:
---discount
-Output:
---output! FILE  The policy: .npy, an (S, A) array.
---json  Print JSON instead, with version, file, states, actions.
-""")
-def policy(options: Options) -> None:
+def policy(
+    *,
+    simulator: SimulatorArgument,
+    spec: Annotated[
+        str,
+        typer.Argument(metavar="SPEC", help="The policy.", rich_help_panel=INPUT),
+    ],
+    discount: DiscountOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="The policy as .npy, an array of shape (S, A).",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    as_json: JsonOption = False,
+) -> None:
     """Write a policy of a simulator to a file."""
-    table = policy_of(
-        options.spec, task_of(options.simulator, options.discount), "policy"
-    )
+    table = policy_of(spec, task_of(simulator, discount), "policy")
     n_states, n_actions = table.shape
     text = (
-        f"{describe_new(options.output)}: policy of {n_states} states and {n_actions}"
-        " actions"
+        f"{describe_new(output)}: policy of {n_states} states and {n_actions} actions"
     )
-    write_array(options.output, table)
-    answer(
-        text,
-        {"file": str(options.output), "states": n_states, "actions": n_actions},
-        options.json,
-    )
+    write_array(output, table)
+    record = {"file": str(output), "states": n_states, "actions": n_actions}
+    print_result(text, record, as_json)
 
 
-@with_options("""
-Input:
-simulator! SIM  {SIMULATOR}.
---initial --action-noise
---samples-per-pair N  Step an environment until each state-action pair that it met has so many samples; its frequencies.
-Value:
---discount
-Output:
---output! FILE  The FiniteMDP: .npz.
---json  Print JSON instead, with version, file, states, actions, transitions, discount.
-""")
-def export(options: Options) -> None:
+def export(
+    *,
+    simulator: SimulatorArgument,
+    initial: InitialOption = None,
+    action_noise: ActionNoiseOption = 0.0,
+    samples_per_pair: Annotated[
+        int | None,
+        typer.Option(
+            "--samples-per-pair",
+            metavar="N",
+            help="Number of samples of each state-action pair of a stepped environment.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    discount: DiscountOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="The FiniteMDP as .npz.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    as_json: JsonOption = False,
+) -> None:
     """Write a simulator to a file.
 
-    Of a continuous task it is the finite MDP, with the cells and what they were made
-    from.
+    A continuous task is written as its finite MDP, with the cells and what they were
+    made from.
     """
-    noise = options.action_noise
-    initial = options.initial
-    output = options.output
-    task = task_of(
-        options.simulator, options.discount, initial, options.samples_per_pair
-    )
-    mdp = task.mdp.with_action_noise(noise) if noise else task.mdp
-    saved = (
-        mdp
-        if noise or initial is not None or task.discretization is None
-        else task.discretization
-    )
+    task = task_of(simulator, discount, initial, samples_per_pair)
+    mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
+    saved: Any = mdp
+    if task.discretization is not None and not action_noise and initial is None:
+        saved = task.discretization
     text = f"{describe_new(output)}: {saved!r}"
     saved.save(output)
-    sizes = {
+    record = {
+        "file": str(output),
+        "discount": mdp.discount,
         "states": mdp.n_states,
         "actions": mdp.n_actions,
         "transitions": mdp.transitions.nnz,
     }
-    answer(text, {"file": str(output), "discount": mdp.discount} | sizes, options.json)
+    print_result(text, record, as_json)
 
 
-@with_options("""
-Input:
-log*! FILE...  Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.
---simulator SIM  Whose states and actions there are, by number or name; others are bad rows. As in evaluate.
---bad-rows=refuse refuse|drop  Rows that are none of a log: refuse the first, or drop and count them.
---kept-moves=200000 N  Transitions of whole episodes to keep for importance sampling, drawn uniformly.
-Value:
---jobs --dask
-Output:
---output! FILE  The counts: .npz, for --log of evaluate and plan.
---overwrite
---json  Print JSON instead, with version, file, moves, dropped.
-""")
-def counts(options: Options) -> None:
+def counts(
+    *,
+    log: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE...",
+            help="Files (.parquet, .csv, .npz), folders or patterns of one log.",
+            rich_help_panel=INPUT,
+        ),
+    ],
+    simulator: OptionalSimulatorOption = None,
+    bad_rows: Annotated[
+        str,
+        typer.Option(
+            "--bad-rows",
+            metavar="refuse|drop",
+            help="Rows that are no transitions: refuse the first, or drop and count.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "refuse",
+    kept_moves: Annotated[
+        int,
+        typer.Option(
+            "--kept-moves",
+            metavar="N",
+            help="Transitions of whole random episodes to keep for importance sampling.",
+            rich_help_panel=INPUT,
+        ),
+    ] = 200_000,
+    jobs: JobsOption = 1,
+    dask: DaskOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="The counts as .npz, for `--log` of evaluate and plan.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Count the transitions of a log of any size.
 
-    The file appears when all are counted.
+    The file appears when all are counted. States and actions that the simulator does
+    not have are bad rows.
     """
-    _files.new_file(options.output, "--output", overwrite=options.overwrite)
-    asked = {
-        name: getattr(options, name)
-        for name in ("bad_rows", "kept_moves", "output", "jobs", "dask")
-    }
-    simulator = None if options.simulator is None else task_of(options.simulator).mdp
+    _files.new_file(output, "--output", overwrite=overwrite)
+    mdp = None if simulator is None else task_of(simulator).mdp
+    asked: dict[str, Any] = {"bad_rows": bad_rows, "kept_moves": kept_moves}
     counted = oee.Transitions.open(
-        options.log, simulator=simulator, progress=sys.stderr.isatty(), **asked
+        log,
+        simulator=mdp,
+        output=output,
+        jobs=jobs,
+        dask=dask,
+        progress=sys.stderr.isatty(),
+        **asked,
     )
     reasons = counted.recording.reasons
-    text = "\n".join(
-        [
-            f"{options.output}: {counted.describe()}",
-            *(f"dropped: {reason}" for reason in reasons),
-        ]
-    )
+    lines = [f"{output}: {counted.describe()}"]
+    lines += [f"dropped: {reason}" for reason in reasons]
     record = {
-        "file": str(options.output),
+        "file": str(output),
         "moves": counted.summary()["transitions"],
         "dropped": reasons,
     }
-    answer(text, record, options.json)
+    print_result("\n".join(lines), record, as_json)
 
 
-@with_options("""
-Input:
-file*! FILE...  A FiniteMDP, a log (several files, a pattern or a folder too), a policy or a report.
-Output:
---json  Print JSON instead, with version, file, kind, text.
-""")
-def info(options: Options) -> None:
+def info(
+    *,
+    file: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE...",
+            help="A FiniteMDP, a log (or its files), a policy or a report.",
+            rich_help_panel=INPUT,
+        ),
+    ],
+    as_json: JsonOption = False,
+) -> None:
     """Describe the contents of a file."""
-    kind, text = describe_files(options.file)
-    answer(
-        text,
-        {"file": ", ".join(options.file), "kind": kind, "text": text.split("\n")},
-        options.json,
-    )
+    kind, text = describe_files(file)
+    record = {"file": ", ".join(file), "kind": kind, "text": text.split("\n")}
+    print_result(text, record, as_json)
 
 
 def describe_files(files: list[str]) -> tuple[str, str]:
-    """Say what kind of thing a file, a data set or the files of a log hold, and what it
-    is in words.
+    """Return what kind of thing a file, a data set or the files of a log hold, in words.
+
+    Parameters
+    ----------
+    files : list of str
+        One file, data set, folder or pattern, or the files of one log.
+
+    Returns
+    -------
+    kind : str
+        "finite_mdp", "transitions", "transition_counts", "continuous_transitions",
+        "report" or "arrays".
+    text : str
+        What it holds, in one or more lines.
     """
     from oee_tabular.continuous.log import holds_states
 
@@ -251,9 +395,8 @@ def describe_files(files: list[str]) -> tuple[str, str]:
     )
     is_single = len(files) == 1 and not is_pattern and not has_parts
     if is_single and holds_states(file):
-        return "continuous_transitions", _describe_states(
-            oee.ContinuousTransitions.load(file)
-        )
+        states = oee.ContinuousTransitions.load(file)
+        return "continuous_transitions", _describe_states(states)
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
         return "transitions", repr(oee.Transitions.load(files))
     arrays = _files.read_npz(file)
@@ -262,58 +405,50 @@ def describe_files(files: list[str]) -> tuple[str, str]:
         return kind, repr(oee.Transitions.load(file))
     if kind == "transition_counts":
         counted = oee.TransitionCounts.load(file)
-        return kind, "\n".join(
-            [
-                repr(counted),
-                *(f"dropped: {reason}" for reason in counted.recording.reasons),
-            ]
-        )
+        reasons = [f"dropped: {reason}" for reason in counted.recording.reasons]
+        return kind, "\n".join([repr(counted), *reasons])
     if kind == "finite_mdp":
         return kind, _describe_mdp(oee.FiniteMDP.load(file), file, arrays)
-    return "arrays", "\n".join(
-        _describe_array(name, array) for name, array in arrays.items()
-    )
+    lines = [_describe_array(name, array) for name, array in arrays.items()]
+    return "arrays", "\n".join(lines)
 
 
 def _describe_states(log: Any) -> str:
+    """Describe a log of continuous states by the range of each coordinate."""
     lines = [repr(log)]
     for name in ("state", "next_state"):
-        columns = enumerate(getattr(log, name).T)
-        lines.append(
-            f"{name}:"
-            f" {', '.join(f'_{k} {column.min():.4g} to {column.max():.4g}' for k, column in columns)}"
-        )
-    return "\n".join(
-        lines
-        + ["with behaviour probabilities"] * (log.behavior_probability is not None)
-    )
+        ranges = [
+            f"_{k} {column.min():.4g} to {column.max():.4g}"
+            for k, column in enumerate(getattr(log, name).T)
+        ]
+        lines.append(f"{name}: {', '.join(ranges)}")
+    if log.behavior_probability is not None:
+        lines.append("with behaviour probabilities")
+    return "\n".join(lines)
 
 
 def _describe_mdp(mdp: Any, file: str, arrays: dict[str, Any]) -> str:
-    n_over = int(mdp.absorbing().sum())
+    """Describe a FiniteMDP, and the continuous task that it was made from, if any."""
+    n_terminal = int(mdp.absorbing().sum())
+    states = "state" if n_terminal == 1 else "states"
     text = (
         f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to"
-        f" {mdp.rewards.max():g}, "
+        f" {mdp.rewards.max():g}, {n_terminal} {states} in which an episode is over"
     )
-    text += f"{n_over} state{'s' * (n_over != 1)} in which an episode is over"
     if "metadata" in arrays:
         with _files.parts_of(file, "a Discretization"):
             facts = dict(json.loads(str(arrays["metadata"])))
-        text += "\nmade from a continuous task: " + ", ".join(
-            f"{name} {value}" for name, value in facts.items()
-        )
+        words = ", ".join(f"{name} {value}" for name, value in facts.items())
+        text += f"\nmade from a continuous task: {words}"
     return text
 
 
 def _describe_array(name: str, array: Any) -> str:
-    is_policy = (
-        array.ndim == 2
-        and array.dtype.kind == "f"
-        and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
-    )
-    what = (
-        f"policy of {array.shape[0]} states and {array.shape[1]} actions"
-        if is_policy
-        else "array"
-    )
+    """Describe an array of a file by its type and shape; say if it is a policy."""
+    has_policy_shape = array.ndim == 2 and array.dtype.kind == "f"
+    if has_policy_shape and bool((abs(array.sum(axis=1) - 1) < 1e-8).all()):
+        n_states, n_actions = array.shape
+        what = f"policy of {n_states} states and {n_actions} actions"
+    else:
+        what = "array"
     return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"

@@ -1,7 +1,6 @@
-"""What the command's words mean: simulators, policies, problems and what is known of
-the target, from words and files.
+"""Simulators, policies, problems and bounds from the words and files of a command.
 
-Simulators are what ``tasks.named_task`` knows, or one's own, MODULE:OBJECT or
+Simulators are those of ``tasks.named_task``, or the user's own, MODULE:OBJECT or
 MODULE:ENV-ID.
 """
 
@@ -27,7 +26,6 @@ from oee_tabular._arguments import (
     own_modules,
     own_object,
 )
-from oee_tabular.cli.options import Options
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
 
@@ -38,8 +36,24 @@ def task_of(
     initial: str | None = None,
     samples: int | None = None,
 ) -> oee.tasks.NamedTask:
-    """The task that ``spec`` names, with another discount or first state; ``samples``
-    of each (s, a) where it is stepped.
+    """Make the task that ``spec`` names.
+
+    Parameters
+    ----------
+    spec : str
+        A simulator as the command takes it.
+    discount : float, optional
+        Replaces the task's discount. None keeps it (0.99 for an own environment).
+    initial : str, optional
+        First state by name or number. None keeps the task's first states.
+    samples : int, optional
+        Number of samples of each state-action pair, for an environment that is stepped
+        because it has no table.
+
+    Returns
+    -------
+    NamedTask
+        The FiniteMDP and how to make its expert and environment.
     """
     _progress.report_step(f"reading the simulator {spec}")
     if is_own(spec) or samples is not None:
@@ -61,8 +75,9 @@ def task_of(
 
 
 def is_own(spec: str) -> bool:
-    """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the
-    colon, the first a module's name.
+    """Return whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID.
+
+    Both sides of the colon are words, and the first one is the name of a module.
     """
     from oee_tabular.tasks.specs import FINITE
 
@@ -85,8 +100,10 @@ def is_own(spec: str) -> bool:
 
 
 def _maker(spec: str) -> Callable[[], Any]:
-    """What makes the MDP or environment of "module:Object,key=value",
-    "module:Id-v0,key=value" or "Id-v0:key=value".
+    """Return a function that makes the user's MDP or environment.
+
+    ``spec`` is "module:Object,key=value", "module:Id-v0,key=value" or
+    "Id-v0:key=value".
     """
     module, _, rest = spec.partition(":")
     positional, keywords = arguments(rest)
@@ -94,13 +111,14 @@ def _maker(spec: str) -> Callable[[], Any]:
         return partial(oee.tasks.make_environment, module, **keywords)
     name, *positional = positional
     if not all(part.isidentifier() for part in name.split(".")):
-        own_module(module)  # which registers the environment
+        own_module(module)  # importing it registers the environment
         return partial(oee.tasks.make_environment, name, **keywords)
     made = own_object(
         f"{module}:{name}", "the simulator", "my_package.mine:MySimulator"
     )
 
     def make() -> Any:
+        """Call the user's class or function; an object is returned as it is."""
         try:
             return made(*positional, **keywords) if callable(made) else made
         except Exception as error:
@@ -115,7 +133,7 @@ def _maker(spec: str) -> Callable[[], Any]:
 def _as_mdp(
     made: Any, spec: str, discount: float, samples: int | None
 ) -> oee.FiniteMDP:
-    """A FiniteMDP itself; an environment by its table, or by being stepped."""
+    """Make a FiniteMDP of an environment, from its table or by stepping it."""
     if isinstance(made, oee.FiniteMDP):
         return made
     if isinstance(made, oee.tasks.ContinuousTask):
@@ -150,7 +168,7 @@ def _as_mdp(
 
 
 def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str, Any]:
-    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    """Read policies from NAME=SPEC or SPEC; without any, the optimal one."""
     return {
         name: policy_of(spec, task, "--policy")
         for name, spec in named_specs(specs or ["optimal"]).items()
@@ -158,7 +176,7 @@ def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str,
 
 
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
-    """The policy that ``spec`` names, in the MDP of ``task``."""
+    """Read the policy that ``spec`` names, as an (S, A) array; errors begin with name."""
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp import check_policy
     from oee_tabular.mdp.policies import read_policy_array
@@ -190,19 +208,20 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
             return check_policy(
                 own_object(spec, name, "my_package.mine:policy"), mdp, name=label
             )
-    close = difflib.get_close_matches(
-        spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1
-    )
-    raise ValueError(
-        f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a"
-        f" .npy, .npz or .csv file; got {spec!r}"
-        + (f" (did you mean {close[0]!r}?)" if close else "")
+    known = ["uniform", "optimal", "expert", "mix:0.5"]
+    close = difflib.get_close_matches(spec.lower(), known, n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    raise ArgumentError(
+        name,
+        "must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz"
+        f" or .csv file; got {spec!r}{hint}",
     )
 
 
 def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any]:
-    """Read a table with the columns state, action (and probability), or state and one
-    for each action.
+    """Read a policy by state from a table.
+
+    Its columns are state, action (and probability), or state and one for each action.
     """
     from oee_tabular.mdp.naming import numbers_of
 
@@ -214,12 +233,10 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
         if label != "state"
     }
     is_wide = "action" not in labels
-    if (
-        "state" not in labels
-        or not actions
-        or (is_wide and not known.issuperset(actions.values()))
-        or frame.empty
-    ):
+    has_columns = "state" in labels and bool(actions)
+    if is_wide:
+        has_columns = has_columns and known.issuperset(actions.values())
+    if not has_columns or frame.empty:
         raise ArgumentError(
             name,
             "must have the columns state and action, with probability or without, or"
@@ -254,8 +271,8 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
 
 
 def write_array(path: Path, array: Array) -> None:
-    """A .npy file, which appears whole or not at all."""
-    # written to a file itself, an array loses the system's words for a full disk
+    """Write a .npy file, which appears complete or not at all."""
+    # np.save to a file would lose the system's message about a full disk
     content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
     with _files.whole_file(path, (".npy",)) as handle:
@@ -263,54 +280,82 @@ def write_array(path: Path, array: Array) -> None:
 
 
 def describe_new(path: Path) -> str:
-    """The name of a file that is to be written, and whether something stands there that
-    it replaces.
-    """
+    """Return the name of a file to write, and whether it replaces another."""
     return f"{path}{' (replaced)' if path.exists() else ''}"
 
 
-def read_problem(options: Options) -> tuple[oee.tasks.NamedTask, oee.Problem]:
-    """Read the simulator, and the problem with the log's files."""
-    log = options.log
-    noise = options.action_noise
-    impossible = options.impossible
-    task = task_of(options.simulator, options.discount, options.initial)
-    if noise:
-        task = replace(task, mdp=task.mdp.with_action_noise(noise))
+def read_problem(
+    simulator: str,
+    log: list[str],
+    *,
+    discount: float | None,
+    initial: str | None,
+    action_noise: float,
+    impossible: str,
+    horizon: int | None,
+    rewards: Any = "simulator",
+    behavior: str | None = None,
+) -> tuple[oee.tasks.NamedTask, oee.Problem]:
+    """Read the simulator and the problem with the log's files.
+
+    Parameters
+    ----------
+    simulator : str
+        A simulator as the command takes it.
+    log : list of str
+        The files of one log.
+    discount, initial, action_noise, impossible, horizon, rewards, behavior
+        The values of the options with these names.
+
+    Returns
+    -------
+    task : NamedTask
+        The simulator with its discount, first state and action noise.
+    problem : Problem
+        The simulator, with the log's support where ``impossible`` is allow=EPS, and the
+        log.
+    """
+    task = task_of(simulator, discount, initial)
+    if action_noise:
+        task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
     model = task.mdp
-    epsilon: Any = (
-        literal(impossible[6:], "--impossible")
-        if impossible.startswith("allow=")
-        else None
-    )
-    is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
-    if not is_share and impossible not in ("refuse", "drop"):
-        raise ArgumentError(
-            "--impossible",
-            "must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got"
-            f" {impossible!r}",
-        )
+    epsilon = _read_impossible(impossible)
     _progress.report_step(f"reading the log {', '.join(log)}")
     recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
-    if is_share:
+    must_refuse: Any = impossible
+    if epsilon is not None:
         is_log = isinstance(recorded, oee.Transitions)
         model = model.with_support_of(
             recorded if is_log else recorded.counts(model.n_states, model.n_actions),
             epsilon,
         )
-        impossible = "refuse"
-    more: dict[str, Any] = (
-        {"rewards": options.rewards} if hasattr(options, "rewards") else {}
+        must_refuse = "refuse"
+    more: dict[str, Any] = {"rewards": rewards}
+    if behavior is not None:
+        more["behavior_policy"] = policy_of(behavior, task, "--behavior")
+    problem = oee.Problem(
+        model, recorded, horizon=horizon, impossible=must_refuse, **more
     )
-    if getattr(options, "behavior", None) is not None:
-        more["behavior_policy"] = policy_of(options.behavior, task, "--behavior")
-    return task, oee.Problem(
-        model, recorded, horizon=options.horizon, impossible=impossible, **more
+    return task, problem
+
+
+def _read_impossible(text: str) -> float | None:
+    """Return EPS of allow=EPS, None for refuse and drop; refuse other words."""
+    if text in ("refuse", "drop"):
+        return None
+    if text.startswith("allow="):
+        epsilon = literal(text.removeprefix("allow="), "--impossible")
+        if isinstance(epsilon, float) and 0.0 < epsilon < 1.0:
+            return epsilon
+    raise ArgumentError(
+        "--impossible",
+        "must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got"
+        f" {text!r}",
     )
 
 
 def read_box(text: str | None) -> dict[str, float | None]:
-    """The bounds of --box LOWER,UPPER, either left out."""
+    """Read the bounds of --box LOWER,UPPER; one that is left out is None."""
     if text is None:
         return {}
     try:
@@ -319,12 +364,10 @@ def read_box(text: str | None) -> dict[str, float | None]:
         )
     except ValueError:
         lower = upper = float("nan")
-    if (
-        not (0.0 if lower is None else lower)
-        <= 1.0
-        <= (1.0 if upper is None else upper)
-        or (lower or 0.0) < 0.0
-    ):
+    low = 0.0 if lower is None else lower
+    high = 1.0 if upper is None else upper
+    # a comparison with nan is false
+    if not 0.0 <= low <= 1.0 <= high:
         raise ArgumentError(
             "--box",
             "must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <="
@@ -334,12 +377,28 @@ def read_box(text: str | None) -> dict[str, float | None]:
 
 
 def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, str]:
-    """Features, or keys of a tie, on ``simulator.transitions.data``, and what they are.
+    """Read features, or keys of a tie, of the simulator's transitions.
 
-    A .csv has a transition a row: columns state, action, next_state (numbers, or the
-    simulator's names), and one for each feature, 0 in transitions that are not in the
-    file, or one of keys. A .npy holds (entries,) or (S, A, S), features with a last
-    axis more; what a dense one has where P is 0 is not looked at.
+    A .csv has one transition in each row: columns state, action, next_state (numbers,
+    or the simulator's names), and one column for each feature (0 in transitions that
+    are not in the file) or one of keys. A .npy has shape (entries,) or (S, A, S);
+    features may have one more axis. A dense array may hold anything where P is 0.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : {"features", "tie"}
+        What the file holds; errors begin with the option of this name.
+    simulator : FiniteMDP
+        The simulator, whose transitions the file describes.
+
+    Returns
+    -------
+    values : ndarray of shape (entries, K) or (entries,)
+        The features, or the keys, in the order of ``simulator.transitions.data``.
+    content : str
+        What the values are, for the report.
     """
     from oee_tabular.data.rules import MOVE
     from oee_tabular.data.tables import csv_frame

@@ -1,12 +1,10 @@
-"""The commands of values (of policies, which of them is best, what to record next) and
-of studies (figures, bench, laws).
-"""
+"""Commands of values (of policies, of the best policy, of new data) and of studies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +19,31 @@ from oee_tabular.cli.inputs import (
     task_of,
     write_array,
 )
-from oee_tabular.cli.options import Options, answer, say, with_options
+from oee_tabular.cli.options import (
+    INPUT,
+    OUTPUT,
+    VALUE,
+    ActionNoiseOption,
+    BoxOption,
+    ConfidenceOption,
+    DaskOption,
+    DiscountOption,
+    HorizonOption,
+    ImpossibleOption,
+    InitialOption,
+    JobsOption,
+    JsonOption,
+    LogOption,
+    OptionalLogOption,
+    OptionalSimulatorOption,
+    OverwriteOption,
+    PoliciesOption,
+    RewardsOption,
+    SeedOption,
+    SimulatorOption,
+    print_result,
+    say,
+)
 from oee_tabular.continuous.command import (
     evaluate_files,
     is_continuous,
@@ -30,233 +52,437 @@ from oee_tabular.continuous.command import (
 )
 from oee_tabular.exceptions import ArgumentError
 
+if TYPE_CHECKING:
+    from oee_tabular.report import Report
+
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
-# which need a simulator whose states are numbered, and a log
-OF_FILES = ("features", "tie", "box", "action_noise", "initial", "impossible")
+# what these options are when they are not given
+DEFAULTS = (None, 0.0, "refuse", "simulator")
 
 
-@with_options("""
-Input:
---simulator --log --policy
---history=auto STEPS  Last actions in a continuous task's state, 0 to 5 or more; auto: as many as the held-out error asks for.
---fit NAME,...  Parameters of a continuous task that are fitted to the log first, gravity,length; of MuJoCo body_mass.pole.
---behavior SPEC  Policy that recorded the log, as for --policy.
---target SIM  The true target, as for --simulator, to show errors.
---initial --action-noise --impossible
---features FILE  Adds a row oee-features with your own features of transitions: {TRANSITIONS}, a last axis for several.
---tie FILE  Adds the row oee-tied, in which transitions with one integer key share one ratio: {TRANSITIONS}.
---grid CELLS  Adds rows on a finite MDP. 60x60: vertices along each feature; 3000: visited cells; auto: the task's own.
---task-option* NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. outside=error|drop|nearest:
-    states of the log outside the grid; drop leaves out transitions without support too. strict=true: an error, not a
-    warning, for actions of the log that are not in the task's set. calibration=ratio|difference|none. floor=0.001: share of
-    other steps in the simulator on the grid (defensive). simulations=50000: Monte Carlo episodes of each policy.
-    state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium environment whose state is not found; its
-    attribute state_names names the coordinates (else state_0, ..., in the order of get). actions=9 or -2,0,2: levels of
-    each coordinate of a Gymnasium Box of actions, or the commands.
-Value:
---box --horizon --discount
---normalized/--raw  Multiply values by (1 - discount).
---estimators NAME,...  Comma-separated: {ESTIMATORS}.
---rewards --confidence
---guaranteed/--quick  Add intervals that are guaranteed at any sample size; or leave likelihood intervals out, which take most
-    of the time of large problems.
---seed
-Output:
---all  Print the rows that a short report leaves out, too.
---verbose  Print every note, and the columns of diagnostics.
---output FOLDER  Folder for report.json, table.csv and values.png.
---report FILE.html  One self-contained page, for people who did not run it; TITLE=FILE.html gives it a title.
---json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
-    results, intervals, best, comparison, conclusion, warnings.
-""")
-def evaluate(options: Options) -> None:
+def evaluate(
+    *,
+    simulator: OptionalSimulatorOption = None,
+    log: OptionalLogOption = None,
+    policy: PoliciesOption = None,
+    history: Annotated[
+        str,
+        typer.Option(
+            "--history",
+            metavar="STEPS",
+            help="Last actions in a continuous task's state: a number, or auto.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "auto",
+    fit: Annotated[
+        str | None,
+        typer.Option(
+            "--fit",
+            metavar="NAME,...",
+            help="Parameters of a continuous task that are fitted to the log first.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    behavior: Annotated[
+        str | None,
+        typer.Option(
+            "--behavior",
+            metavar="SPEC",
+            help="Policy that recorded the log.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target",
+            metavar="SIM",
+            help="The true target, to show errors.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    initial: InitialOption = None,
+    action_noise: ActionNoiseOption = 0.0,
+    impossible: ImpossibleOption = "refuse",
+    features: Annotated[
+        Path | None,
+        typer.Option(
+            "--features",
+            metavar="FILE",
+            help="Your own features of transitions; adds the row oee-features.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    tie: Annotated[
+        Path | None,
+        typer.Option(
+            "--tie",
+            metavar="FILE",
+            help="Keys of transitions that share a ratio; adds the row oee-tied.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            "--grid",
+            metavar="CELLS",
+            help="Add rows on a finite MDP: 60x60, 3000 or auto.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    task_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--task-option",
+            metavar="NAME=VALUE",
+            help=(
+                "Setting of a continuous task, repeatable: outside, strict,"
+                " calibration, floor, simulations, state or actions."
+            ),
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    box: BoxOption = None,
+    horizon: HorizonOption = None,
+    discount: DiscountOption = None,
+    normalized: Annotated[
+        bool | None,
+        typer.Option(
+            "--normalized/--raw",
+            help="Multiply values by (1 - discount), or not.",
+            rich_help_panel=VALUE,
+        ),
+    ] = None,
+    estimators: Annotated[
+        str | None,
+        typer.Option(
+            "--estimators",
+            metavar="NAME,...",
+            help="Names of estimators, comma-separated.",
+            rich_help_panel=VALUE,
+        ),
+    ] = None,
+    rewards: RewardsOption = "simulator",
+    confidence: ConfidenceOption = 0.95,
+    guaranteed: Annotated[
+        bool | None,
+        typer.Option(
+            "--guaranteed/--quick",
+            help="Add guaranteed intervals, or leave out likelihood intervals.",
+            rich_help_panel=VALUE,
+        ),
+    ] = None,
+    seed: SeedOption = 0,
+    show_all: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Print the rows that a short report leaves out.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose",
+            help="Print every note and the columns of diagnostics.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            metavar="FOLDER",
+            help="Folder for report.json, table.csv and values.png.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    report: Annotated[
+        str | None,
+        typer.Option(
+            "--report",
+            metavar="FILE.html",
+            help="One self-contained page, for people who did not run the command.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """Estimate the value of policies in the target.
 
-    It takes a simulator and a log of the target; without arguments, it evaluates the
+    It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    if options.output is not None:
-        oee.report.check_output(options.output)
-    title, _, name = (options.report or "").rpartition("=")
-    page = Path(name) if name else None
-    if options.report is not None:
-        oee.report.check_page(page or Path(options.report))
-    report = _evaluate(options)
-    answer(
-        report.to_text(all=options.all, verbose=options.verbose),
-        report.to_dict() if options.json else {},
-        options.json,
-    )
-    old = [*options.output.glob("*")] if options.output else []
-    old += [page] if page and page.exists() else []
-    new = report.save(options.output) if options.output else []
-    if page:
-        report.to_html(page, title=title or None)
-        new.append(page)
-    if new and not options.json:
-        typer.echo(
-            "\nWritten:"
-            f" {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}"
-        )
-
-
-def refuse(options: Options, names: tuple[str, ...], rule: str) -> None:
-    """Raise a ValueError for the first of these options that has another value than its
-    default.
-    """
-    for name in names:
-        value = getattr(options, name)
-        if value not in (None, 0.0, "refuse", "simulator"):
-            raise ValueError(f"--{name.replace('_', '-')} {rule.format(value)}")
-
-
-def _evaluate(options: Options) -> Any:
-    """Make the report of the problem that the options describe: of files, of a
-    continuous task, or the paper's.
-    """
-    simulator = options.simulator
-    log = options.log
-    discount = options.discount
-    settings = task_options(options.task_option)
-    grid = read_grid(options.grid)
-    wants = {
-        "--task-option": settings,
-        "--grid": grid is not None,
-        "--fit": options.fit,
+    if output is not None:
+        oee.report.check_output(output)
+    title: str | None = None
+    page: Path | None = None
+    if report is not None:
+        title, page = _read_title(report)
+        oee.report.check_page(page)
+    settings = task_options(task_option)
+    cells = read_grid(grid)
+    for_tasks = {
+        "--task-option": bool(settings),
+        "--grid": cells is not None,
+        "--fit": bool(fit),
+        "--history": history != "auto",
     }
-    wants["--history"] = options.history != "auto"
-    if any(wants.values()) and not is_continuous(simulator):
-        if simulator is not None:
-            task_of(simulator)  # which may not be there at all
-        given = next(name for name, value in wants.items() if value)
-        raise ValueError(
-            f"{given} needs a continuous task (--simulator cartpole:gravity=10)"
-        )
-    names = (
-        None
-        if options.estimators is None
-        else [part.strip() for part in options.estimators.split(",")]
-    )
-    common: dict[str, Any] = {"confidence": options.confidence, "seed": options.seed}
-    common |= {
-        "guaranteed": options.guaranteed is True,
-        "quick": options.guaranteed is False,
+    _refuse_without_task(simulator, for_tasks)
+    # options that need a simulator whose states are numbered, and a log
+    for_files: dict[str, object] = {
+        "--features": features,
+        "--tie": tie,
+        "--box": box,
+        "--action-noise": action_noise,
+        "--initial": initial,
+        "--impossible": impossible,
     }
-    common |= {
-        "estimators": None if names is None else [*filter(None, names)],
-        "normalized": bool(options.normalized),
+    common: dict[str, Any] = {
+        "confidence": confidence,
+        "seed": seed,
+        "guaranteed": guaranteed is True,
+        "quick": guaranteed is False,
+        "estimators": None if estimators is None else _split_names(estimators),
+        "normalized": bool(normalized),
     }
     if simulator is None and not log:
-        refuse(
-            options, ("behavior", "target", *OF_FILES), "needs --simulator and --log"
+        _refuse_given(
+            {"--behavior": behavior, "--target": target} | for_files,
+            "needs --simulator and --log",
         )
-        default = oee.tasks.embedded_default(
-            seed=options.seed, discount=0.99 if discount is None else discount
+        common["normalized"] = normalized is not False
+        made = _evaluate_example(
+            policy, horizon=horizon, discount=discount, rewards=rewards, common=common
         )
-        problem = oee.Problem(
-            default.simulator,
-            default.log,
-            horizon=default.horizon if options.horizon is None else options.horizon,
-            rewards=options.rewards,
-            episodes=default.episodes,
-            behavior_policy=default.behavior_policy,
-        )
-        policies: Any = default.policies
-        if options.policy is not None:
-            policies = policies_of(
-                options.policy, task_of("gridworld:10,slip=0.3", discount)
-            )
-        common["normalized"] = options.normalized is not False
-        return oee.evaluate(problem, policies, target=default.target, **common)
-    if simulator is None or not log:
-        there, lacking = ("log", "simulator") if log else ("simulator", "log")
+    elif simulator is None or not log:
+        given, missing = ("log", "simulator") if log else ("simulator", "log")
         raise ArgumentError(
-            f"--{lacking}",
-            f"must be given with --{there} (record a log with: oee sample)",
+            f"--{missing}",
+            f"must be given with --{given} (record a log with: oee sample)",
         )
-    if is_continuous(simulator):
-        common |= {
-            "fit": options.fit and options.fit.split(","),
-            "history": literal(options.history, "--history"),
-        }
-        rule = (
+    elif is_continuous(simulator):
+        common["fit"] = fit.split(",") if fit else fit
+        common["history"] = literal(history, "--history")
+        _refuse_given(
+            {"--rewards": rewards} | for_files,
             "must be left out for a continuous task, whose states have no numbers; it"
-            " is {}"
+            " is {}",
         )
-        refuse(options, ("rewards", *OF_FILES), rule)
-        return evaluate_files(
+        made = evaluate_files(
             simulator,
             log,
-            options.policy,
-            options.behavior,
-            options.target,
+            policy,
+            behavior,
+            target,
             settings,
-            grid=grid,
-            horizon=options.horizon,
+            grid=cells,
+            horizon=horizon,
             discount=0.99 if discount is None else discount,
             **common,
         )
-    task, problem = read_problem(options)
-    known, facts = _read_known(options, task)
-    target = None
-    if options.target is not None:
-        target = task_of(options.target, task.mdp.discount, options.initial).mdp
+    else:
+        made = _evaluate_finite(
+            simulator,
+            log,
+            policy,
+            behavior=behavior,
+            target=target,
+            initial=initial,
+            action_noise=action_noise,
+            impossible=impossible,
+            features=features,
+            tie=tie,
+            box=box,
+            horizon=horizon,
+            discount=discount,
+            rewards=rewards,
+            common=common,
+        )
+    text = made.to_text(all=show_all, verbose=verbose)
+    print_result(text, made.to_dict() if as_json else {}, as_json)
+    written = _write_report(made, output, page, title)
+    if written and not as_json:
+        typer.echo(f"\nWritten: {', '.join(written)}")
+
+
+def _read_title(report: str) -> tuple[str | None, Path]:
+    """Split TITLE=FILE.html; the title is None where there is none."""
+    title, _, name = report.rpartition("=")
+    return title or None, Path(name or report)
+
+
+def _split_names(text: str) -> list[str]:
+    """Split names at commas."""
+    parts = [part.strip() for part in text.split(",")]
+    return [part for part in parts if part]
+
+
+def _refuse_without_task(simulator: str | None, is_given: Mapping[str, bool]) -> None:
+    """Refuse options of continuous tasks for another simulator."""
+    given = [option for option in is_given if is_given[option]]
+    if not given or is_continuous(simulator):
+        return
+    if simulator is not None:
+        task_of(simulator)  # which may not be there at all
+    raise ValueError(
+        f"{given[0]} needs a continuous task (--simulator cartpole:gravity=10)"
+    )
+
+
+def _refuse_given(options: Mapping[str, object], rule: str) -> None:
+    """Refuse the first of these options that has another value than its default."""
+    for option, value in options.items():
+        if value not in DEFAULTS:
+            raise ArgumentError(option, rule.format(value))
+
+
+def _evaluate_example(
+    policy: list[str] | None,
+    *,
+    horizon: int | None,
+    discount: float | None,
+    rewards: Any,
+    common: Mapping[str, Any],
+) -> Report:
+    """Evaluate the paper's grid, which needs no files."""
+    default = oee.tasks.embedded_default(
+        seed=common["seed"], discount=0.99 if discount is None else discount
+    )
+    problem = oee.Problem(
+        default.simulator,
+        default.log,
+        horizon=default.horizon if horizon is None else horizon,
+        rewards=rewards,
+        episodes=default.episodes,
+        behavior_policy=default.behavior_policy,
+    )
+    policies: Any = default.policies
+    if policy is not None:
+        policies = policies_of(policy, task_of("gridworld:10,slip=0.3", discount))
+    return oee.evaluate(problem, policies, target=default.target, **common)
+
+
+def _evaluate_finite(
+    simulator: str,
+    log: list[str],
+    policy: list[str] | None,
+    *,
+    behavior: str | None,
+    target: str | None,
+    initial: str | None,
+    action_noise: float,
+    impossible: str,
+    features: Path | None,
+    tie: Path | None,
+    box: str | None,
+    horizon: int | None,
+    discount: float | None,
+    rewards: str,
+    common: Mapping[str, Any],
+) -> Report:
+    """Evaluate policies by the files of a simulator and a log."""
+    from oee_tabular.report.page import date_of
+
+    task, problem = read_problem(
+        simulator,
+        log,
+        discount=discount,
+        initial=initial,
+        action_noise=action_noise,
+        impossible=impossible,
+        horizon=horizon,
+        rewards=rewards,
+        behavior=behavior,
+    )
+    specs = named_specs(policy or ["optimal"])
+    facts: dict[str, Any] = {
+        "simulator_name": simulator,
+        "log_name": ", ".join(log),
+        "log_files": log,
+        "action_noise": action_noise,
+        "policy_names": specs,
+        "date": date_of([simulator, *log, *specs.values()]),
+    }
+    if initial is not None:
+        facts["initial"] = initial
+    if impossible != "refuse":
+        facts["impossible"] = impossible
+    if discount is not None:
+        facts["discount"] = discount
+    if action_noise:
+        facts["simulator"] = (
+            f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
+        )
+    known: dict[str, Any] = read_box(box)
+    for name, path in (("features", features), ("tie", tie)):
+        if path is not None:
+            known[name], content = read_entries(path, name, task.mdp)
+            facts[name] = f"{path} ({content})"
+    true_mdp = None
+    if target is not None:
+        true_mdp = task_of(target, task.mdp.discount, initial).mdp
     return oee.evaluate(
         problem,
-        policies_of(options.policy, task),
+        policies_of(policy, task),
         facts=facts,
-        target=target,
+        target=true_mdp,
         **known,
         **common,
     )
 
 
-def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read what is known of the target (box, features, tie), and collect what the
-    report tells of its inputs.
-    """
-    from oee_tabular.report.page import date_of
-
-    specs = named_specs(options.policy or ["optimal"])
-    noise = options.action_noise
-    facts = {
-        "simulator_name": options.simulator,
-        "log_name": ", ".join(options.log),
-        "log_files": options.log,
-        "action_noise": noise,
-        "policy_names": specs,
-        "date": date_of([options.simulator, *options.log, *specs.values()]),
-    }
-    others = {
-        name: getattr(options, name) for name in ("initial", "impossible", "discount")
-    }
-    facts |= {
-        name: value for name, value in others.items() if value not in (None, "refuse")
-    }
-    if noise:
-        facts["simulator"] = (
-            f"{options.simulator} with action noise {noise:g}: {task.mdp!r}"
-        )
-    known: dict[str, Any] = read_box(options.box)
-    for name, path in (("features", options.features), ("tie", options.tie)):
-        if path is not None:
-            known[name], content = read_entries(path, name, task.mdp)
-            facts[name] = f"{path} ({content})"
-    return known, facts
+def _write_report(
+    report: Report, folder: Path | None, page: Path | None, title: str | None
+) -> list[str]:
+    """Write the report's files; return their names, and which of them replace others."""
+    old: list[Path] = []
+    new: list[Path] = []
+    if folder is not None:
+        old += folder.glob("*")
+    if page is not None and page.exists():
+        old.append(page)
+    if folder is not None:
+        new += report.save(folder)
+    if page is not None:
+        report.to_html(page, title=title)
+        new.append(page)
+    return [f"{path} (replaced)" if path in old else str(path) for path in new]
 
 
-@with_options("""
-Input:
---simulator! --log!
---policy*! NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
---initial --action-noise --impossible
-Value:
---box --horizon --discount --rewards --confidence --quick
-Output:
---json  Print JSON instead, with version, confidence, best (null where the log cannot say), sentence, policies (best first),
-    differences (from the best), warnings.
-""")
-def compare(options: Options) -> None:
+def compare(
+    *,
+    simulator: SimulatorOption,
+    log: LogOption,
+    policy: Annotated[
+        list[str],
+        typer.Option(
+            "--policy",
+            metavar="NAME=SPEC",
+            help="Policy to compare, two or more: SPEC or NAME=SPEC.",
+            rich_help_panel=INPUT,
+        ),
+    ],
+    initial: InitialOption = None,
+    action_noise: ActionNoiseOption = 0.0,
+    impossible: ImpossibleOption = "refuse",
+    box: BoxOption = None,
+    horizon: HorizonOption = None,
+    discount: DiscountOption = None,
+    rewards: RewardsOption = "simulator",
+    confidence: ConfidenceOption = 0.95,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Leave out likelihood intervals, which are slow for large problems.",
+            rich_help_panel=VALUE,
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Say which of several policies is worth most.
 
     It prints differences with their intervals and P(best), or says that the log cannot
@@ -264,163 +490,324 @@ def compare(options: Options) -> None:
     """
     from oee_tabular.report.tables import render_comparison
 
-    if is_continuous(options.simulator):
+    if is_continuous(simulator):
         raise ArgumentError(
             "--simulator",
-            f"must have numbered states to compare policies; {options.simulator!r} is"
+            f"must have numbered states to compare policies; {simulator!r} is"
             " continuous: oee evaluate",
         )
-    if len(named_specs(options.policy)) < 2:
+    if len(named_specs(policy)) < 2:
         raise ArgumentError(
             "--policy",
             "must be given twice or more, for there is nothing to compare; there is"
-            f" {options.policy[0]!r}",
+            f" {policy[0]!r}",
         )
-    known = read_box(options.box)
-    task, problem = read_problem(options)
-    policies = policies_of(options.policy, task)
+    known: dict[str, Any] = read_box(box)
+    task, problem = read_problem(
+        simulator,
+        log,
+        discount=discount,
+        initial=initial,
+        action_noise=action_noise,
+        impossible=impossible,
+        horizon=horizon,
+        rewards=rewards,
+    )
+    policies = policies_of(policy, task)
     report = oee.report.contest(
-        problem, policies, confidence=options.confidence, quick=options.quick, **known
+        problem, policies, confidence=confidence, quick=quick, **known
     )
     warnings = [str(finding) for finding in problem.findings]
-    text = "\n".join(
-        [render_comparison(report), *([""] if warnings else []), *warnings]
-    )
+    lines = [render_comparison(report)]
+    if warnings:
+        lines += ["", *warnings]
     rows = report.comparison()
-    differences = [
-        {
-            "policy": row["policy"],
-            "than": rows[0]["policy"],
-            "difference": -row["less_by"],
-            "lower": None if row["less_by_upper"] is None else -row["less_by_upper"],
-            "upper": None if row["less_by_lower"] is None else -row["less_by_lower"],
-        }
-        for row in rows[1:]
-    ]
     record = {
         "confidence": report.confidence,
         "best": report.best,
         "sentence": report.headline,
         "policies": rows,
+        "differences": [_difference(row, rows[0]["policy"]) for row in rows[1:]],
+        "warnings": warnings,
     }
-    answer(
-        text, record | {"differences": differences, "warnings": warnings}, options.json
-    )
+    print_result("\n".join(lines), record, as_json)
 
 
-@with_options("""
-Input:
---simulator! --log!
---transitions! N  How many more transitions to record.
---policy --initial --action-noise --impossible
---free  Any state-action pair can be set up and recorded, not only episodes.
---plan-option* NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
-    restart=0.01, restart_costs_a_move=true|false, solver=auto|frank_wolfe|CLARABEL.
-Value:
---box --horizon --discount --confidence
-Output:
---output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
---overwrite
---json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
-""")
-def plan(options: Options) -> None:
+def _difference(row: Mapping[str, Any], best: str) -> dict[str, Any]:
+    """Return how a policy's value differs from the best one's, with the interval."""
+    lower = row["less_by_lower"]
+    upper = row["less_by_upper"]
+    return {
+        "policy": row["policy"],
+        "than": best,
+        "difference": -row["less_by"],
+        "lower": None if upper is None else -upper,
+        "upper": None if lower is None else -lower,
+    }
+
+
+def plan(
+    *,
+    simulator: SimulatorOption,
+    log: LogOption,
+    transitions: Annotated[
+        int,
+        typer.Option(
+            "--transitions",
+            metavar="N",
+            help="Number of transitions to record next.",
+            rich_help_panel=INPUT,
+        ),
+    ],
+    policy: PoliciesOption = None,
+    initial: InitialOption = None,
+    action_noise: ActionNoiseOption = 0.0,
+    impossible: ImpossibleOption = "refuse",
+    free: Annotated[
+        bool,
+        typer.Option(
+            "--free",
+            help="Any state-action pair can be recorded, not only episodes.",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
+    plan_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plan-option",
+            metavar="NAME=VALUE",
+            help=(
+                "Setting of the plan, repeatable: model, optimistic, restart,"
+                " restart_costs_a_move or solver."
+            ),
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    box: BoxOption = None,
+    horizon: HorizonOption = None,
+    discount: DiscountOption = None,
+    confidence: ConfidenceOption = 0.95,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="The behaviour policy (with `--free`, shares of the pairs) as .npy.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Plan what to record next.
 
     It prints a behaviour policy, and the width of each value's interval before and
     after.
     """
-    output = options.output
-    free = options.free
     if output is not None:
-        _files.new_file(output, "--output", overwrite=options.overwrite)
-    settings = named_specs(options.plan_option or [], "--plan-option", PLAN_OPTIONS)
-    asked = {name: literal(text) for name, text in settings.items()} | read_box(
-        options.box
+        _files.new_file(output, "--output", overwrite=overwrite)
+    settings = named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS)
+    asked: dict[str, Any] = {name: literal(text) for name, text in settings.items()}
+    asked |= read_box(box)
+    task, problem = read_problem(
+        simulator,
+        log,
+        discount=discount,
+        initial=initial,
+        action_noise=action_noise,
+        impossible=impossible,
+        horizon=horizon,
     )
-    task, problem = read_problem(options)
-    policies = policies_of(options.policy, task)
-    _progress.report_step(f"plan for {options.transitions} transitions")
+    policies = policies_of(policy, task)
+    _progress.report_step(f"plan for {transitions} transitions")
     made = oee.plan_data_collection(
         problem,
         policies,
-        n=options.transitions,
+        n=transitions,
         sampling="free" if free else "behavior",
-        confidence=options.confidence,
+        confidence=confidence,
         **asked,
     )
     text = str(made)
     record = made.to_dict() | {"file": None if output is None else str(output)}
-    if output is not None:
-        write_array(output, made.distribution if free else made.behavior_policy)
-        text += (
-            f"\n{output}:"
-            f" {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
-        )
-    answer(text, record, options.json)
+    if output is not None and free:
+        write_array(output, made.distribution)
+        text += f"\n{output}: shares of the pairs, (S, A), that sum to 1"
+    elif output is not None:
+        write_array(output, made.behavior_policy)
+        text += f"\n{output}: policy to record with"
+    print_result(text, record, as_json)
 
 
 # ---- studies
 
 
-@with_options("""
-Input:
-experiments* ID...  Ids or groups; --list shows them.
---all  Every experiment.
---list  List the experiments and stop.
---smoke  A small subset of each sweep, into OUTPUT/smoke.
-Value:
---seeds N  Repetitions of each cell, instead of the experiment's own.
---seed --jobs=-1 --dask
-Output:
---output=results FOLDER  Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.
---fresh  Empty the experiments' folders first.
---json  Print JSON instead, with version, lines.
-""")
-def reproduce(options: Options) -> None:
+def reproduce(
+    *,
+    experiments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="ID...",
+            help="Ids or groups; `--list` shows them.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    run_all: Annotated[
+        bool,
+        typer.Option("--all", help="Run every experiment.", rich_help_panel=INPUT),
+    ] = False,
+    list_only: Annotated[
+        bool,
+        typer.Option(
+            "--list", help="List the experiments and stop.", rich_help_panel=INPUT
+        ),
+    ] = False,
+    smoke: Annotated[
+        bool,
+        typer.Option(
+            "--smoke",
+            help="Run a small subset of each sweep, into OUTPUT/smoke.",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds",
+            metavar="N",
+            help="Number of repetitions, in place of the experiment's own.",
+            rich_help_panel=VALUE,
+        ),
+    ] = None,
+    seed: SeedOption = 0,
+    jobs: JobsOption = -1,
+    dask: DaskOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FOLDER",
+            help="Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("results"),
+    fresh: Annotated[
+        bool,
+        typer.Option(
+            "--fresh",
+            help="Empty the experiments' folders first.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Reproduce the paper's figures, and more.
 
     An interrupted run goes on where it stopped.
     """
     from oee_tabular.lab.experiments import catalogue
 
-    names = ("smoke", "seeds", "seed", "jobs", "dask", "output", "fresh")
-    asked = {name: getattr(options, name) for name in names}
-    chosen = options.experiments or []
-    if options.list:
-        _tell(lambda say: say(catalogue.listing()), options.json)
-    else:
-        _tell(
-            lambda say: catalogue.reproduce(
-                chosen, everything=options.all, say=say, **asked
-            ),
-            options.json,
-        )
+    if list_only:
+        _print_lines(lambda say: say(catalogue.listing()), as_json)
+        return
+    _print_lines(
+        lambda say: catalogue.reproduce(
+            experiments or [],
+            everything=run_all,
+            smoke=smoke,
+            seeds=seeds,
+            seed=seed,
+            jobs=jobs,
+            dask=dask,
+            output=output,
+            fresh=fresh,
+            say=say,
+        ),
+        as_json,
+    )
 
 
-def _tell(run: Callable[[Callable[[str], None]], None], as_json: bool) -> None:
-    """Run what says lines as it goes on, or says them in one JSON object at the end."""
+def _print_lines(run: Callable[[Callable[[str], None]], None], as_json: bool) -> None:
+    """Print the lines of a run as it goes on, or as one JSON object at the end."""
+    if not as_json:
+        run(say)
+        return
     lines: list[str] = []
-    run(lines.append if as_json else say)
-    if as_json:
-        answer("", {"lines": "\n".join(lines).split("\n")}, True)
+    run(lines.append)
+    print_result("", {"lines": "\n".join(lines).split("\n")}, True)
 
 
-@with_options("""
-Input:
---estimators=oee,model-based NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, scope-rl:NAME,
-  offline-rl-ope:NAME, {ESTIMATORS}.
---families NAME,...  Comma-separated, or MODULE:FUNCTION of your own (none: all).
-Value:
---sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).
---seeds=40 N  Logs of each family and size.
---timeout=600 SECONDS  Time that an estimate may take: one that takes longer is a row with that reason.
---seed --jobs=-1 --dask
-Output:
---output=results/bench FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, league.tex, profile.png, ...
---fresh  Empty the folder first.
---json  Print JSON instead, with version, lines.
-""")
-def bench(options: Options) -> None:
+def bench(
+    *,
+    estimators: Annotated[
+        str,
+        typer.Option(
+            "--estimators",
+            metavar="NAME,...",
+            help="Estimators to measure, comma-separated.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "oee,model-based",
+    families: Annotated[
+        str | None,
+        typer.Option(
+            "--families",
+            metavar="NAME,...",
+            help="Families, comma-separated, or your own MODULE:FUNCTION; else all.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(
+            "--sizes",
+            metavar="N,...",
+            help=(
+                "Transitions of each stochastic state-action pair, comma-separated;"
+                " else 0.3,1,3,10,30."
+            ),
+            rich_help_panel=VALUE,
+        ),
+    ] = None,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds",
+            metavar="N",
+            help="Number of logs of each family and size.",
+            rich_help_panel=VALUE,
+        ),
+    ] = 40,
+    timeout: Annotated[
+        float,
+        typer.Option(
+            "--timeout",
+            metavar="SECONDS",
+            help="Time limit of an estimate; a slower one is a row with that reason.",
+            rich_help_panel=VALUE,
+        ),
+    ] = 600.0,
+    seed: SeedOption = 0,
+    jobs: JobsOption = -1,
+    dask: DaskOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            metavar="FOLDER",
+            help=(
+                "Folder for table.csv, cells.csv, league.csv, league.md, league.tex,"
+                " profile.png, ..."
+            ),
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("results/bench"),
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Empty the folder first.", rich_help_panel=OUTPUT),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Measure estimators where the truth is exact.
 
     They are measured on families of environment shift. An interrupted run goes on where
@@ -428,21 +815,55 @@ def bench(options: Options) -> None:
     """
     from oee_tabular.lab.bench import bench as run
 
-    asked = {name: value for name, value in vars(options).items() if name != "json"}
-    _tell(lambda say: run(**asked, say=say), options.json)
+    _print_lines(
+        lambda say: run(
+            estimators=estimators,
+            families=families,
+            sizes=sizes,
+            seeds=seeds,
+            timeout=timeout,
+            seed=seed,
+            jobs=jobs,
+            dask=dask,
+            output=output,
+            fresh=fresh,
+            say=say,
+        ),
+        as_json,
+    )
 
 
-@with_options("""
-Input:
-estimator! MODULE:OBJECT  An estimator, or what makes one without arguments.
-Value:
---seed
---repetitions=8 N  Logs of each statistical comparison, at least 3: with more, smaller biases are found.
---timeout=60 SECONDS  Time that each law may take: an estimator that takes longer breaks it.
-Output:
---json  Print JSON instead, with version, estimator, passed, seed, laws.
-""")
-def check(options: Options) -> None:
+def check(
+    *,
+    estimator: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODULE:OBJECT",
+            help="An estimator, or what makes one without arguments.",
+            rich_help_panel=INPUT,
+        ),
+    ],
+    seed: SeedOption = 0,
+    repetitions: Annotated[
+        int,
+        typer.Option(
+            "--repetitions",
+            metavar="N",
+            help="Logs of each comparison, at least 3; more logs find smaller biases.",
+            rich_help_panel=VALUE,
+        ),
+    ] = 8,
+    timeout: Annotated[
+        float,
+        typer.Option(
+            "--timeout",
+            metavar="SECONDS",
+            help="Time limit of each law; a slower estimator breaks the law.",
+            rich_help_panel=VALUE,
+        ),
+    ] = 60.0,
+    as_json: JsonOption = False,
+) -> None:
     """Check an estimator of yours against the laws.
 
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold,
@@ -451,11 +872,10 @@ def check(options: Options) -> None:
     """
     from oee_tabular.testing.conformance import check_module
 
-    asked = {
-        name: getattr(options, name) for name in ("seed", "repetitions", "timeout")
-    }
-    _progress.report_step(f"laws of estimators, on {options.estimator}")
-    verdicts = check_module(options.estimator, **asked)
+    _progress.report_step(f"laws of estimators, on {estimator}")
+    verdicts = check_module(
+        estimator, seed=seed, repetitions=repetitions, timeout=timeout
+    )
     laws = [
         {"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example}
         for v in verdicts.values()
@@ -463,10 +883,12 @@ def check(options: Options) -> None:
     record = {
         "estimator": verdicts.estimator,
         "passed": verdicts.passed,
-        "seed": options.seed,
+        "seed": seed,
         "laws": laws,
     }
-    last = f"\n{verdicts.conclusion}" if verdicts.passed else ""
-    answer(f"{verdicts}{last}", record, options.json)
+    text = str(verdicts)
+    if verdicts.passed:
+        text += f"\n{verdicts.conclusion}"
+    print_result(text, record, as_json)
     if not verdicts.passed:
         raise typer.Exit(1)

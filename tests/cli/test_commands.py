@@ -11,6 +11,7 @@ import typer.main
 
 import oee_tabular as oee
 from oee_tabular.cli import app
+from oee_tabular.cli.details import DETAILS, JSON_KEYS, details_of
 
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = "sample gridworld:3,slip=0.1 --output"
@@ -60,13 +61,41 @@ def test_help_in_groups(run, asked):
         for line in text.splitlines()
         if line.endswith(":") and not line.startswith(" ")
     ]
-    assert titles == ["Input:", "Value:", "Output:", "Options:"]
+    groups = ["Input:", "Value:", "Output:", "Options:"]
+    values = ["Values of SIM:", "Values of SPEC:", "Values of --estimators:"]
+    assert titles == groups + values
     assert "--simulator SIM" in text
-    assert "<" not in text.replace("0 < EPS", "")
+    assert "<" not in text
+    assert "`" not in text
     commands = run(asked)
     assert "--install-completion" in commands
     assert "..." not in commands.split("Commands:")[1]
     assert run("--version").startswith("oee 0.")
+
+
+def test_help_is_short(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert len(run("evaluate --help").splitlines()) <= 100
+    for command in COMMANDS.values():
+        for parameter in command.params:
+            assert len(parameter.help) <= 120, parameter.help
+            assert parameter.help.endswith((".", "..."))
+            assert not re.search(r"[^.]\.\s", parameter.help), parameter.help
+
+
+def test_details_are_of_options_that_exist_and_on_the_page_of_their_command():
+    unused = set(DETAILS)
+    for name, command in COMMANDS.items():
+        for title, forms in details_of(name, command.params).items():
+            assert f"**Values of `{title}`**:" in command.epilog
+            unused -= {key for key, known in DETAILS.items() if known is forms}
+            for form, meaning in forms.items():
+                assert f"* `{form}`: {meaning}" in command.epilog
+        # a typographer would make a dash of two hyphens
+        assert "--" not in re.sub("`[^`]*`", "", command.epilog + command.help)
+        for parameter in command.params:
+            assert "--" not in re.sub("`[^`]*`", "", parameter.help)
+    assert not unused
 
 
 def test_options_keep_their_help_where_docstrings_are_stripped():
@@ -87,12 +116,11 @@ def test_options_are_few_and_each_has_its_group_and_a_word_for_its_value(run, na
         assert option.is_flag or option.metavar
 
 
-SINGLE = [
-    (name, option)
-    for name, command in COMMANDS.items()
-    for option in command.params
-    if option.param_type_name == "option" and not option.multiple
-]
+SINGLE = []
+for command_name, command in COMMANDS.items():
+    for parameter in command.params:
+        if parameter.param_type_name == "option" and not parameter.multiple:
+            SINGLE.append((command_name, parameter))
 
 
 @pytest.mark.parametrize(
@@ -208,17 +236,12 @@ SHORT = {
 }
 
 
-def test_every_command_has_json_with_the_keys_of_its_help(run, folder):
+def test_every_command_has_json_with_the_keys_of_its_details(run, folder):
     assert set(SHORT) == set(COMMANDS)
     # which take longer, and have tests of their own
     for name in set(SHORT) - {"bench", "check"}:
         found = json.loads(run(name, SHORT[name], "--json"))
-        (option,) = (p for p in COMMANDS[name].params if p.name == "json")
-        keys = re.sub(
-            r" \([^)]*\)",
-            "",
-            option.help.removeprefix("Print JSON instead, with ")[:-1],
-        ).split(", ")
+        keys = re.sub(r" \([^)]*\)", "", JSON_KEYS[name]).split(", ")
         assert set(found) == set(keys)
         assert found["version"] == oee.__version__
 
