@@ -1,6 +1,4 @@
-"""What the command line's words are made of: ``NAME=SPEC``, a spec's arguments,
-``10,slip=0.3``, and ``MODULE:OBJECT``.
-"""
+"""Parsers of words: ``NAME=SPEC``, ``10,slip=0.3`` and ``MODULE:OBJECT``."""
 
 from __future__ import annotations
 
@@ -21,10 +19,21 @@ from oee_tabular.exceptions import ArgumentError
 def named_specs(
     given: list[str], option: str = "--policy", known: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
+    """Read name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
 
-    ``known``: the names there are, where there are no others; each then needs its
-    value.
+    Parameters
+    ----------
+    given : list of str
+        The words.
+    option : str
+        The option that they were given to, for errors.
+    known : sequence of str, optional
+        The only names allowed; each then needs its value. Empty allows any name.
+
+    Returns
+    -------
+    dict of str to str
+        The specs by name, in the order given.
     """
     specs: dict[str, str] = {}
     for text in given:
@@ -48,8 +57,9 @@ def named_specs(
 
 
 def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:
-    """The name and the keywords of "NAME:key=value,..."; ValueError where a value has
-    no key.
+    """Split "NAME:key=value,..." into the name and the keywords.
+
+    A value without a key is a ValueError.
 
     >>> parse_spec("cartpole:gravity=10,form=full")
     ('cartpole', {'gravity': 10, 'form': 'full'})
@@ -65,7 +75,7 @@ def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:
 
 
 def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
-    """Positional values and keywords; values are Python literals or words.
+    """Split text into positional values and keywords: Python literals or words.
 
     >>> arguments("10,slip=0.3,pay=next,desc=['SF','FG']")
     ([10], {'slip': 0.3, 'pay': 'next', 'desc': ['SF', 'FG']})
@@ -86,7 +96,7 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
 
 
 def _split(text: str) -> list[str]:
-    """At commas that stand outside brackets and quotes."""
+    """Split text at the commas that stand outside brackets and quotes."""
     parts = []
     depth = 0
     quote = ""
@@ -107,7 +117,7 @@ def _split(text: str) -> list[str]:
 
 
 def literal(text: str, name: str = "an argument") -> Any:
-    """A Python literal, true, false, none, a fraction, or else the word itself."""
+    """Read a Python literal, true, false, none or a fraction, else the word itself."""
     lowered = {"true": True, "false": False, "none": None}
     if text.lower() in lowered:
         return lowered[text.lower()]
@@ -124,7 +134,7 @@ def literal(text: str, name: str = "an argument") -> Any:
 
 @contextmanager
 def own_modules() -> Iterator[None]:
-    """Modules of the current directory can be imported, as those that are installed."""
+    """Let modules of the current directory be imported like installed ones."""
     folder = os.getcwd()
     sys.path.insert(0, folder)
     try:
@@ -134,7 +144,7 @@ def own_modules() -> Iterator[None]:
 
 
 def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
-    """The two parts of "module:object"; nothing is imported."""
+    """Split "module:object" into its two parts without importing anything."""
     module_name, colon, path = spec.partition(":")
     if not (colon and module_name and path):
         raise ArgumentError(
@@ -151,29 +161,36 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
 
 
 def own_object(spec: str, what: str, example: str) -> Any:
-    """The object of "module:object"; errors call it ``what`` and give an ``example`` of
-    the form.
+    """Import the object of "module:object".
+
+    Errors call it ``what`` and give an ``example`` of the form.
     """
     module_name, path = module_and_path(spec, what, example)
     result: object = own_module(module_name)
     for name in path.split("."):
         if not hasattr(result, name):
-            public = [
-                key
-                for key, value in vars(result).items()
-                if callable(value) and not key.startswith("_")
-            ]
-            known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
+            known = _list_public(result)
             raise ValueError(f"{module_name!r} has no object {path!r}{known}")
         result = getattr(result, name)
     return result
 
 
+def _list_public(holder: object) -> str:
+    """Name what an object has to call, as the end of an error."""
+    public = [
+        key
+        for key, value in vars(holder).items()
+        if callable(value) and not key.startswith("_")
+    ]
+    return f" (it has {', '.join(sorted(public)[:8])})" if public else ""
+
+
 def own_module(module_name: str) -> ModuleType:
-    """The module of that name, imported; a ValueError where that fails."""
+    """Import the module of that name; a failure is a ValueError."""
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
+        # in other cases the module was found, and imports one that is missing
         if error.name is not None and (
             module_name == error.name or module_name.startswith(f"{error.name}.")
         ):

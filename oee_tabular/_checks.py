@@ -1,6 +1,4 @@
-"""Checks of arguments: each error names the argument, the place, the rule and the value
-found.
-"""
+"""Checks of arguments, whose errors name the argument, the place, rule and value."""
 
 from __future__ import annotations
 
@@ -14,30 +12,29 @@ import unicodedata
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import (
-    Array,
-    BoolArray,
-    Seed,
-)
+from oee_tabular.typing import Array, BoolArray, Seed, SparseLike
 
 T = TypeVar("T")
 
 LARGEST_INTEGER = 2**63 - 1
-SUM_TOLERANCE = 1e-8
+SUM_TOLERANCE = 1e-8  # of a sum of probabilities, from 1
 SUM_RULE = f"sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {{:.10g}}"
+SINGLE_TOLERANCE = 1e-5  # of a sum in single precision, which is then scaled to 1
+MAX_SHOWN_CHARACTERS = 300  # of a value in an error
+MAX_SHOWN_ENTRIES = 12  # of an array; a larger one is shown by its shape
 _PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
-SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
 
 class _Shown(reprlib.Repr):
-    """Reprs of bounded length and depth; of an array or a matrix of more than a few
-    entries only type and shape.
+    """Write values for errors with bounded length and depth.
+
+    An array or a matrix of more than a few entries is shown by its type and shape.
     """
 
     def __init__(self) -> None:
@@ -48,10 +45,11 @@ class _Shown(reprlib.Repr):
         self.maxlong = 60
 
     def repr_instance(self, x: Any, level: int) -> str:
-        if hasattr(x, "shape") and (
-            is_sparse(x)
-            or (isinstance(x, np.ndarray) and (x.size > 12 or x.dtype.hasobject))
-        ):
+        """Write an object on one line."""
+        is_large = isinstance(x, np.ndarray) and (
+            x.size > MAX_SHOWN_ENTRIES or x.dtype.hasobject
+        )
+        if hasattr(x, "shape") and (is_sparse(x) or is_large):
             return f"<{type(x).__name__} of shape {x.shape}, dtype {x.dtype}>"
         return " ".join(super().repr_instance(x, level).split())
 
@@ -62,65 +60,83 @@ _SHOWN = _Shown()
 
 
 def show(value: object) -> str:
-    """``repr(value)`` for an error: at most 300 characters, quick and safe whatever the
-    value is, nothing invisible.
+    """Write a value for an error, in at most 300 characters and without control ones.
+
+    It is quick and raises nothing, whatever the value is.
     """
     try:
         text = _SHOWN.repr(value)
-    except Exception:  # whatever the repr of an object of somebody else's raises
+    except Exception:  # the repr of a user's object may raise anything
         text = f"<{type(value).__name__}>"
-    return escape_controls(text if len(text) <= 300 else f"{text[:200]}...{text[-97:]}")
+    if len(text) > MAX_SHOWN_CHARACTERS:
+        text = f"{text[:200]}...{text[-97:]}"
+    return escape_controls(text)
 
 
 def escape_controls(text: str, keep: str = "") -> str:
-    """``text`` with control characters, which a terminal obeys, as Python writes them;
-    those in ``keep`` stay.
+    """Write control characters, which a terminal obeys, as Python escapes them.
+
+    Those in ``keep`` stay.
     """
     if text.isprintable():
         return text
-    return "".join(
-        (
-            c
-            if c.isprintable() or c in keep or unicodedata.category(c) == "Zs"
-            else repr(c)[1:-1]
-        )
-        for c in text
-    )
+    letters = []
+    for c in text:
+        is_safe = c.isprintable() or c in keep or unicodedata.category(c) == "Zs"
+        letters.append(c if is_safe else repr(c)[1:-1])
+    return "".join(letters)
 
 
-def is_sparse(value: object) -> bool:
-    """Whether it is one of scipy's sparse matrices; no method of it is called, since a
-    malformed one may end the process.
+def is_sparse(value: object) -> TypeGuard[SparseLike]:
+    """Return whether a value is one of scipy's sparse matrices or arrays.
+
+    No method of it is called, since a malformed one may end the process.
     """
+    # without this module, which is slow to import, there is no such object
     sparse = sys.modules.get("scipy.sparse")
     return sparse is not None and bool(sparse.issparse(value))
 
 
 def place(name: str, index: tuple[int, ...]) -> str:
-    """``policy[3, 1]`` for ("policy", (3, 1))."""
+    """Name an entry of an argument: ``policy[3, 1]`` for ("policy", (3, 1))."""
     return f"{name}[{', '.join(str(int(i)) for i in index)}]"
 
 
 def float_array(
     value: object, name: str, *, ndim: int | tuple[int, ...] | None = None
 ) -> Array:
-    """``value`` as a new float64 array of finite numbers, or a ValueError that says
-    where it is not one.
+    """Convert a value to a new float64 array of numbers.
+
+    Parameters
+    ----------
+    value : object
+        What the caller was given.
+    name : str
+        The argument's name, for errors.
+    ndim : int or tuple of int, optional
+        The dimensions that are allowed. None allows any.
+
+    Returns
+    -------
+    ndarray of float64
+        A copy. Its entries may be infinite or nan.
+
+    Raises
+    ------
+    ArgumentError
+        If the value holds text, dates or complex numbers, has rows of different lengths, or
+        another number of dimensions.
     """
     given: Any = as_array(value, name, "an array of numbers")
     kind = given.dtype.kind
-    is_text = kind in "USMm" or (
-        kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
-    )
+    holds_text = kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
     try:
-        if is_text or kind not in "biufO":
-            raise TypeError(
-                "text or dates"
-                if is_text
-                else "complex numbers"
-                if kind == "c"
-                else f"of {given.dtype}"
-            )
+        if kind in "USMm" or holds_text:
+            raise TypeError("text or dates")
+        if kind == "c":
+            raise TypeError("complex numbers")
+        if kind not in "biufO":
+            raise TypeError(f"of {given.dtype}")
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ArgumentError(
@@ -136,8 +152,9 @@ def float_array(
 
 
 def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
-    """``numpy.array(value)``, with an error that names the argument where rows have
-    different lengths.
+    """Convert a value by ``numpy.array``, with an error that names the argument.
+
+    Rows of different lengths and sparse matrices are errors.
     """
     try:
         if is_sparse(value):
@@ -150,21 +167,22 @@ def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
 
 
 def require_finite(array: Array, name: str) -> None:
-    """Every entry is a finite number."""
+    """Require every entry to be a finite number."""
     _require(np.isfinite(array), array, name, "be finite; it is {}")
 
 
 def require_nonnegative(array: Array, name: str) -> None:
-    """Every entry is a finite number, none below 0."""
-    # two passes that make no array
+    """Require every entry to be a finite number of at least 0."""
+    # two passes that make no array decide in the usual case
     if array.size and not (array.min() >= 0 and array.max() < np.inf):
         require_finite(array, name)
         _require(array >= 0, array, name, "be nonnegative; it is {}")
 
 
 def require_sums_to_one(sums: Array, name: str) -> None:
-    """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the
-    tolerance.
+    """Require every sum to be 1 up to the tolerance.
+
+    ``sums`` are the sums of the rows of ``name``.
     """
     _require(np.abs(sums - 1.0) <= SUM_TOLERANCE, sums, name, SUM_RULE, "rows")
 
@@ -172,13 +190,14 @@ def require_sums_to_one(sums: Array, name: str) -> None:
 def _require(
     fine: BoolArray, array: Array, name: str, rule: str, counted: str = ""
 ) -> None:
-    """A ValueError that names the first entry of ``array`` that is not ``fine``, and
-    how many such there are.
+    """Raise an error for the first entry of ``array`` that is not ``fine``.
+
+    It says how many such entries there are where ``counted`` gives them a name.
     """
     if fine.all():
         return
     bad = np.argwhere(~fine)
-    first = tuple(bad[0])  # of a single number the index is empty
+    first = tuple(bad[0])  # empty for a single number
     more = f" ({len(bad)} such {counted} in all)" if counted and len(bad) > 1 else ""
     raise ArgumentError(
         place(name, first) if first else name, f"must {rule.format(array[first])}{more}"
@@ -186,9 +205,7 @@ def _require(
 
 
 def scale_if_single(array: Array, given: object) -> Array:
-    """The rows of an array that was given in single precision, scaled to sum to 1 where
-    they nearly do.
-    """
+    """Scale rows that were given in single precision to sum to 1 where they nearly do."""
     if getattr(given, "dtype", None) != np.float32:
         return array
     sums = array.sum(axis=-1, keepdims=True)
@@ -197,7 +214,7 @@ def scale_if_single(array: Array, given: object) -> Array:
 
 
 def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
-    """``value`` as an array of ``shape``, nonnegative, with a total of 1."""
+    """Convert a value to an array of ``shape``, nonnegative, with a total of 1."""
     array = float_array(value, name)
     if array.shape != shape:
         raise ArgumentError(
@@ -219,8 +236,9 @@ def number_in(
     open_ends: bool = False,
     infinite: bool = False,
 ) -> float:
-    """``value`` as a float in [low, high], or in (low, high); infinity only where it is
-    allowed.
+    """Convert a value to a float in [low, high], or in (low, high).
+
+    Infinity is allowed only with ``infinite``.
     """
     try:
         array: Any = None if is_sparse(value) else np.asarray(value)
@@ -233,9 +251,9 @@ def number_in(
     if np.isinf(number) and not infinite:
         raise ArgumentError(name, f"must be finite; it is {number:g}")
     if not inside:
-        left, right = (
-            "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
-        )
+        left = "(" if open_ends else "["
+        has_high = infinite or np.isfinite(high)
+        right = "]" if has_high and not open_ends else ")"
         raise ArgumentError(
             name, f"must be in {left}{low:g}, {high:g}{right}; it is {number:g}"
         )
@@ -243,7 +261,7 @@ def number_in(
 
 
 def positive_integer(value: Any, name: str) -> int:
-    """``value`` as an int of at least 1 that 64 bits hold."""
+    """Convert a value to an int of at least 1 that fits in 64 bits."""
     try:
         if isinstance(value, bool | np.bool_):
             raise TypeError
@@ -260,12 +278,12 @@ def positive_integer(value: Any, name: str) -> int:
 
 
 def is_integer(value: object) -> bool:
-    """Whether it is a whole number, Python's or numpy's, and no flag."""
+    """Return whether a value is an integer of Python or numpy, and not a boolean."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def boolean(value: object, name: str) -> bool:
-    """True or False, Python's or numpy's; nothing else stands for them."""
+    """Convert True or False, of Python or numpy, to a bool; refuse all else."""
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(name, f"must be True or False; got {show(value)}")
     return bool(value)
@@ -274,28 +292,28 @@ def boolean(value: object, name: str) -> bool:
 def instance(
     value: object, kind: type[T] | tuple[type[T], ...], name: str, called: str = ""
 ) -> T:
-    """``value``, which is an object of the class ``kind``, or of one of them;
-    ``called``: how the error says it.
+    """Require an object of the class ``kind``, or of one of several, and return it.
+
+    ``called`` is how the error names the class.
     """
-    if not isinstance(value, kind):
-        rule = called or " or ".join(
-            k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,))
-        )
-        article = "" if rule.endswith("s") else "an " if rule[0] in "AEIOU" else "a "
-        raise ArgumentError(
-            name, f"must be {article}{rule}; got {type(value).__name__}"
-        )
-    return value
+    if isinstance(value, kind):
+        return value
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    rule = called or " or ".join(k.__name__ for k in kinds)
+    article = "an " if rule[0] in "AEIOU" else "a "
+    if rule.endswith("s"):
+        article = ""
+    raise ArgumentError(name, f"must be {article}{rule}; got {type(value).__name__}")
 
 
 def function(value: object, name: str) -> None:
-    """``value`` can be called."""
+    """Require a value that can be called."""
     if not callable(value):
         raise ArgumentError(name, f"must be a function; got {type(value).__name__}")
 
 
 def warn(text: str, category: type[Warning]) -> None:
-    """Warn at the line that called the package, however deep in it that is noticed."""
+    """Warn at the line that called the package, however deep inside the cause is."""
     frame = sys._getframe(1)
     level = 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
@@ -305,8 +323,9 @@ def warn(text: str, category: type[Warning]) -> None:
 
 
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
-    """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of
-    what it must be one.
+    """Convert a collection to a tuple of its items; a text is no collection.
+
+    ``rule`` says in the error what the items must be.
     """
     try:
         if isinstance(value, str | bytes) or is_sparse(value):
@@ -321,11 +340,11 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
 def require_memory(
     count: float, name: str, value: object = None, *, size: int = 8
 ) -> None:
-    """``count`` numbers of ``size`` bytes fit into memory: asked before, since a system
-    may grant what it does not have.
+    """Require ``count`` numbers of ``size`` bytes to fit into memory.
 
-    A ValueError where the ``value`` of an argument asks for them, else (a file that is
-    read) a MemoryError.
+    This is asked before they are allocated, since a system may grant memory that it does
+    not have. Where the ``value`` of an argument asks for them, the error is an
+    ArgumentError; else (for a file that is read) it is a MemoryError.
     """
     needed = count * size
     free = free_memory()
@@ -344,7 +363,10 @@ def require_memory(
 
 
 def free_memory() -> float:
-    """Bytes that a process can still take; infinite where the system does not say."""
+    """Return how many bytes a process can still take.
+
+    It is infinite where the system does not say.
+    """
     with contextlib.suppress(OSError, ValueError, IndexError):
         return 1024.0 * int(
             Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0]
@@ -353,28 +375,29 @@ def free_memory() -> float:
 
 
 def optional_horizon(horizon: object) -> int | None:
-    """None (the infinite sum) or a number of rewards of at least 1."""
+    """Check a horizon: None (the infinite sum) or an integer of at least 1."""
     return None if horizon is None else positive_integer(horizon, "horizon")
 
 
 def one_of(value: object, name: str, allowed: tuple[str, ...], hint: str = "") -> None:
-    """``value`` is one of the allowed words; ``hint``: what else there is to do."""
+    """Require one of the allowed words; ``hint`` ends the error's text."""
     if not isinstance(value, str) or value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
         raise ArgumentError(name, f"must be one of {words}; got {show(value)}{hint}")
 
 
 def generator(seed: Seed) -> np.random.Generator:
-    """``numpy.random.default_rng(seed)``, with an error that names the argument."""
+    """Make ``numpy.random.default_rng(seed)``; errors name the argument."""
     return _call_numpy(np.random.default_rng, seed)
 
 
 def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
-    """The stream ``key`` of ``seed``, with an error that names the argument."""
+    """Make the stream ``key`` of ``seed``; errors name the argument."""
     return _call_numpy(np.random.SeedSequence, seed, spawn_key=key)
 
 
 def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
+    """Call a function of numpy.random; its errors become an ArgumentError of seed."""
     try:
         if is_sparse(seed):
             raise TypeError("a sparse matrix")
@@ -389,6 +412,6 @@ def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """The same array, no longer writable."""
+    """Make an array read-only, and return it."""
     array.flags.writeable = False
     return array

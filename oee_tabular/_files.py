@@ -1,6 +1,4 @@
-"""Files are written whole or not at all, and read from this machine only; npz files are
-never pickles.
-"""
+"""Reading and writing of files: complete or not at all, local, and never pickles."""
 
 from __future__ import annotations
 
@@ -32,15 +30,19 @@ KINDS = {
     "transition_counts": "counted log (TransitionCounts)",
     "continuous_transitions": "log of continuous states (ContinuousTransitions)",
 }
-# a spreadsheet takes a cell that begins with one of these for a formula
+# a spreadsheet reads a cell that begins with one of these as a formula
 FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 LONGEST_PATH = 1000  # characters; systems allow 255 to 4096, and errors repeat it
-_ZIP = (b"PK\x03\x04", b"PK\x05\x06")
+_ZIP = (
+    b"PK\x03\x04",
+    b"PK\x05\x06",
+)  # the first bytes of a zip file, and of an empty one
 
 
 def local(path: str | os.PathLike[str], argument: str = "path") -> str:
-    """``path`` as text; ValueError for an address of another machine, which is never
-    opened (``argument``: its name).
+    """Return a path as text; refuse an address of another machine.
+
+    Nothing is opened. ``argument`` is the name that errors begin with.
     """
     if not isinstance(path, str | os.PathLike):
         raise ArgumentError(
@@ -65,9 +67,9 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
             "must be a file; '-', standard input or output, is none (--json prints what"
             " a command found)",
         )
-    if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
-        name
-    ):  # pathlib makes one slash of two
+    # one slash, because pathlib makes one of two
+    is_address = re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) is not None
+    if is_address and not os.path.exists(name):
         raise ArgumentError(
             argument,
             f"must be a file of this machine; {name!r} is an address, and nothing is"
@@ -77,8 +79,14 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
 
 
 def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
-    """ValueError where something stands at ``path`` that may not be lost; OSError where
-    no file can be written there.
+    """Check that a file can be written at ``path``, and that nothing there is lost.
+
+    Raises
+    ------
+    ArgumentError
+        If something exists there and ``overwrite`` is False; ``name`` is the argument.
+    OSError
+        If no file can be written there.
     """
     local(path)
     if not overwrite and os.path.lexists(path):
@@ -88,7 +96,7 @@ def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> Non
             " exists already",
         )
     folder = Path(os.path.realpath(path)).parent
-    # else whoever writes it makes the folder, or says that there is none
+    # in other cases the writer makes the folder, or reports that there is none
     if Path(path).suffix and folder.is_dir():
         try:
             with tempfile.TemporaryFile(dir=folder):
@@ -103,11 +111,11 @@ def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> Non
 def whole_file(
     path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()
 ) -> Iterator[IO[bytes]]:
-    """A binary file to write, which appears under its name only once it is complete.
+    """Open a binary file that appears under its name only once it is complete.
 
-    The bytes go to a temporary file in the same folder, are flushed to disk and moved
-    over ``path`` in one step; an error on the way leaves what stood there before, and
-    names ``path``. A link stays one: the file that it leads to is replaced.
+    The bytes go to a temporary file in the same folder, are flushed to disk and moved to
+    ``path`` in one step. An error on the way leaves the old file in place, and names
+    ``path``. A link stays a link: the file that it leads to is replaced.
     """
     if suffixes and Path(local(path)).suffix.lower() not in suffixes:
         raise ArgumentError(
@@ -144,14 +152,15 @@ def whole_file(
             error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
         ) from None
     finally:
-        # a read-only disk says so of what is not there, too
+        # a read-only disk refuses even if there is no such file
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write every file of ``contents`` into ``folder``, or none of them; what they
-    replace stays until all are ready.
+    """Write every file of ``contents`` into ``folder``, or none of them.
+
+    Old files stay until all new ones are ready.
     """
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
@@ -161,7 +170,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
                 handle = stack.enter_context(whole_file(folder / name))
                 handle.write(data)
                 handle.flush()
-                # a disk is full here, before the first file has its name
+                # a full disk is an error here, before the first file has its name
                 os.fsync(handle.fileno())
     except BaseException:
         if made:
@@ -170,8 +179,9 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def csv_bytes(frame: Any, **options: Any) -> bytes:
-    """A DataFrame as CSV, in which a text that a spreadsheet would take for a formula
-    begins with an apostrophe [1].
+    """Write a DataFrame as CSV in which no text is a formula.
+
+    A text that a spreadsheet would read as a formula begins with an apostrophe [1].
 
     [1] OWASP, CSV Injection.
     """
@@ -182,15 +192,16 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
 
 
 def _defuse(value: object) -> Any:
+    """Put an apostrophe before a text that a spreadsheet would read as a formula."""
     if not isinstance(value, str):
         return value
-    # a bare one ends the line, and is not quoted
+    # to_csv does not quote a bare carriage return, which ends the line
     text = "\n".join(value.splitlines()) if "\r" in value else value
     return f"'{text}" if FORMULA.match(text) else text
 
 
 def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """A digest over the names, types, shapes and bytes of arrays, whatever their order."""
+    """Compute a digest of the names, types, shapes and bytes of arrays in any order."""
     whole = hashlib.blake2b(digest_size=16)
     for name, array in sorted(arrays.items()):
         values: Any = np.ascontiguousarray(array)
@@ -202,14 +213,13 @@ def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 def save_npz(
     path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]
 ) -> None:
-    """An npz of plain arrays with their kind of object and their digest; ValueError for
-    arrays of objects.
+    """Write an npz of plain arrays with their kind of object and their digest.
 
-    A zip file protects what its members hold, not their names: one that is damaged may
-    lack some of them.
+    A zip file protects the contents of its members, but not their names: a damaged file may
+    lack some of them, which the digest shows. Arrays of objects are an ArgumentError.
     """
     for name, array in arrays.items():
-        # it would be a pickle, which numpy 2.0 cannot be told not to write
+        # numpy 2.0 would write it as a pickle, and has no switch against that
         if array.dtype.hasobject:
             raise ArgumentError(
                 name, "must be numbers or text; it is an array of objects"
@@ -217,8 +227,8 @@ def save_npz(
     with whole_file(path, (".npz",)) as handle:
         stored = {KIND: np.array(kind), **arrays}
         stored[DIGEST] = np.array(digest(stored))
-        # what np.savez_compressed writes; where a disk is full, some of its releases
-        # leave their archive open
+        # this writes what np.savez_compressed writes; some releases of numpy leave the
+        # archive open where a disk is full
         with zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, array in stored.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -228,8 +238,9 @@ def save_npz(
 def load_npz(
     path: str | os.PathLike[str], kind: str, *, hint: str = ""
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds
-    otherwise.
+    """Read the arrays of an npz that holds a ``kind``.
+
+    The error for a file of another kind says what it holds, and ends with ``hint``.
     """
     arrays = read_npz(path)
     stored = npz_kind(arrays)
@@ -249,7 +260,7 @@ def load_npz(
 
 @contextmanager
 def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
-    """Errors in what is made of the arrays of a file name the file."""
+    """Let errors in what is made of a file's arrays name the file."""
     try:
         yield
     except KeyError as error:
@@ -262,11 +273,26 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
 
 
 def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Every array of an npz or npy file (the npy's under the name "array"). No pickles,
-    and no changed file of ours.
+    """Read every array of an npz or npy file; refuse pickles and changed files of ours.
 
-    Raises ValueError for what is no such file, FileNotFoundError, and MemoryError
-    ("needs 14.9 GiB") where it does not fit.
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The arrays by name; that of an npy file is called "array".
+
+    Raises
+    ------
+    ValueError
+        If it is no such file, or a file of ours that was damaged or edited.
+    FileNotFoundError
+        If there is no file.
+    MemoryError
+        If the arrays do not fit into memory; the text says how much they need.
     """
     name = local(path)
     with open(name, "rb") as handle, warnings.catch_warnings():
@@ -274,11 +300,9 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         try:
             is_zip = handle.read(4) in _ZIP
             members = zipfile.ZipFile(handle).infolist() if is_zip else []
-            size = (
-                sum(member.file_size for member in members)
-                if is_zip
-                else os.fstat(handle.fileno()).st_size
-            )
+            size = sum(member.file_size for member in members)
+            if not is_zip:
+                size = os.fstat(handle.fileno()).st_size
             _checks.require_memory(size, repr(name), size=1)
             handle.seek(0)
             loaded = np.load(handle, allow_pickle=False)
@@ -286,7 +310,7 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
             if not all(isinstance(array, np.ndarray) for array in arrays.values()):
                 raise ValueError("a member is no array")
         except Exception as error:
-            # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
+            # zipfile, zlib, ast and numpy raise many classes on bytes that are not theirs
             if isinstance(error, MemoryError) and repr(name) in str(error):
                 raise
             words = _checks.escape_controls(str(error) or type(error).__name__)
@@ -303,17 +327,18 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
-    """What ``save_npz`` said the arrays are, None for other files."""
+    """Return the kind that ``save_npz`` wrote with the arrays, None for other files."""
     return str(arrays[KIND]) if KIND in arrays else None
 
 
 def kind_of(path: str | os.PathLike[str]) -> str | None:
-    """What ``save_npz`` said that a file holds; None for other files. Reads that one
-    name.
+    """Return the kind that ``save_npz`` wrote into a file, None for other files.
+
+    Only this one array is read.
     """
     name = local(path)
     if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
         return None
     with contextlib.suppress(Exception), open(name, "rb") as handle:
         return str(np.load(handle, allow_pickle=False)[KIND])
-    return None  # what is wrong with it is said by who reads all of it
+    return None  # whoever reads all of the file reports what is wrong with it

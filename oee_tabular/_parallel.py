@@ -1,8 +1,8 @@
-"""Threads and processes, whose number does not change a bit.
+"""Threads and processes, whose number does not change any digit of a result.
 
-BLAS splits long sums among its threads, and their order decides the last digits:
-``one_thread``. Work in several processes goes through joblib on this machine, or to a
-dask cluster by its scheduler's address.
+BLAS splits long sums among its threads, and the order of the parts decides the last
+digits; ``one_thread`` prevents it. Work in several processes goes through joblib on
+this machine, or to a dask cluster by its scheduler's address.
 """
 
 from __future__ import annotations
@@ -23,15 +23,22 @@ from oee_tabular.typing import Array
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
+CONNECT = 5.0  # seconds to wait for a dask scheduler
+WATCH = 0.5  # seconds between two looks of a worker at its parent
+
 
 def dot(x: Array, y: Array) -> float:
-    """sum x y, pairwise; for long vectors that are not worth ``one_thread``."""
+    """Compute sum x y by pairwise summation, whose digits depend on no thread.
+
+    It is for long vectors for which ``one_thread`` is not worth its cost.
+    """
     return float(np.add.reduce(x * y))
 
 
 class _OneThread:
-    """BLAS with one thread while anybody is inside, and then as before; Python threads
-    may come and go in any order.
+    """A context in which BLAS has one thread, and after it as many as before.
+
+    Python threads may enter and leave in any order.
     """
 
     def __init__(self) -> None:
@@ -43,8 +50,9 @@ class _OneThread:
             os.register_at_fork(after_in_child=self._reset)
 
     def _reset(self) -> None:
-        """A forked process has none of the threads that were inside, nor one that would
-        open the lock.
+        """Forget the threads that were inside, since a forked process has none of them.
+
+        The lock is new, because no thread is left that would open the old one.
         """
         self.lock = threading.Lock()
         if self.n_inside:
@@ -55,14 +63,9 @@ class _OneThread:
         with self.lock:
             if self.n_inside == 0:
                 if self.libraries is None:
-                    import scipy.linalg  # noqa: F401  a BLAS of its own, which must be loaded first
-                    from threadpoolctl import ThreadpoolController
-
-                    self.libraries = (
-                        ThreadpoolController().select(user_api="blas").lib_controllers
-                    )
+                    self.libraries = _find_blas()
                 self.before = [library.num_threads or 1 for library in self.libraries]
-                self._set([1] * len(self.before))
+                self._set([1 for _ in self.before])
             self.n_inside += 1
 
     def __exit__(self, *error: object) -> None:
@@ -72,37 +75,63 @@ class _OneThread:
             self.n_inside = max(self.n_inside - 1, 0)
 
     def _set(self, numbers: list[int]) -> None:
+        """Set the number of threads of each library."""
         for library, number in zip(self.libraries or [], numbers, strict=True):
-            # threadpoolctl 3.6 lets only one Python thread set OpenBLAS's number, lest
-            # they fight; ours take turns
+            # threadpoolctl 3.6 lets only one Python thread set the number of OpenBLAS;
+            # here the lock makes threads take turns
             getattr(library, "_real_set_num_threads", library.set_num_threads)(number)
+
+
+def _find_blas() -> list[Any]:
+    """Find the BLAS libraries that are loaded."""
+    import scipy.linalg  # noqa: F401  it has a BLAS of its own, which must be loaded
+    from threadpoolctl import ThreadpoolController
+
+    libraries: list[Any] = (
+        ThreadpoolController().select(user_api="blas").lib_controllers
+    )
+    return libraries
 
 
 ONE_THREAD = _OneThread()
 
 
 def one_thread(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """The function, with one BLAS thread while it runs (five microseconds more)."""
+    """Let a function run with one BLAS thread, which takes five microseconds more."""
 
     @functools.wraps(function)
     def alone(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        # no docstring: it has the function's own
         with ONE_THREAD:
             return function(*args, **kwargs)
 
     return alone
 
 
-CONNECT = 5.0  # seconds to wait for a dask scheduler
-WATCH = 0.5  # seconds between two looks of a worker at its parent
-
-
 @contextlib.contextmanager
 def backend(jobs: int, dask: str | None) -> Iterator[Any]:
-    """Inside, ``parallel`` starts processes here, which end with this one however it
-    dies, or asks the cluster at ``dask``.
+    """Set where ``parallel`` runs: in processes here, or on the cluster at ``dask``.
 
-    Gives the cluster's client, or None. OSError where no scheduler answers,
-    RuntimeError where it has no workers.
+    Processes here end with this one, however it ends.
+
+    Parameters
+    ----------
+    jobs : int
+        Number of processes; with 1 none is started.
+    dask : str, optional
+        Address of a dask scheduler, which is used in place of processes here.
+
+    Yields
+    ------
+    Client or None
+        The cluster's client, if there is a cluster.
+
+    Raises
+    ------
+    OSError
+        If no scheduler answers.
+    RuntimeError
+        If the scheduler has no workers.
     """
     import joblib
 
@@ -127,6 +156,7 @@ def backend(jobs: int, dask: str | None) -> Iterator[Any]:
 
 
 def _connect(address: str) -> Any:
+    """Connect to a dask scheduler."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -135,39 +165,40 @@ def _connect(address: str) -> Any:
         ) from error
     try:
         return Client(address, timeout=CONNECT, set_as_default=True)  # type: ignore[no-untyped-call]
-    except Exception as error:  # what is not a scheduler may answer anything
+    except Exception as error:  # another server may answer anything
         raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
 
 
 def end_with_parent(parent: int, *, with_group: bool = False) -> None:
-    """In a worker: a thread that ends it, or its group, once ``parent`` is gone, which
-    a SIGKILL leaves no time to say.
+    """Start a thread in a worker that ends it, or its group, once ``parent`` is gone.
+
+    A parent that ends by SIGKILL has no time to end its workers.
     """
 
     def watch() -> None:
+        """Wait for the parent's end."""
         while os.getppid() == parent:
             time.sleep(WATCH)
         if with_group:
             os.killpg(0, signal.SIGKILL)
         os._exit(1)
 
-    if os.name == "posix":  # elsewhere getppid names a parent that is gone
+    # on other systems, getppid still names a parent that is gone
+    if os.name == "posix":
         threading.Thread(target=watch, daemon=True).start()
 
 
 def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
-    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a
-    core.
+    """Make a ``joblib.Parallel`` for this many calls, in at most as many processes.
 
-    A single call is made in a process of its own too, unless ``jobs`` is 1: it may be
-    one that ends its process.
+    With ``jobs`` -1 there is one process for each core. A single call is made in a process
+    of its own too, unless ``jobs`` is 1, because the call may end its process.
     """
     import joblib
 
     most = joblib.cpu_count() if jobs == -1 else jobs
-    return joblib.Parallel(
-        n_jobs=-1 if dask else min(most, max(number, 2)), batch_size=1, **options
-    )
+    n_jobs = -1 if dask else min(most, max(number, 2))
+    return joblib.Parallel(n_jobs=n_jobs, batch_size=1, **options)
 
 
 def each(
@@ -178,8 +209,9 @@ def each(
     jobs: int,
     dask: str | None,
 ) -> Iterator[Any]:
-    """``function(*call)`` of each of the ``number`` calls, in their order; an error is
-    raised in its place.
+    """Yield ``function(*call)`` of each of the ``number`` calls, in their order.
+
+    The error of a call is raised in place of its result.
     """
     if dask is None and (jobs == 1 or number < 2):
         yield from (function(*call) for call in calls)
@@ -193,8 +225,10 @@ def each(
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """TimeoutError after so many seconds; none outside of a process's main thread and
-    on Windows, which have no alarm.
+    """Raise a TimeoutError inside after this many seconds.
+
+    There is no limit on Windows, which has no alarm, and outside of the main thread of a
+    process.
     """
     if (
         not hasattr(signal, "setitimer")
@@ -204,6 +238,7 @@ def time_limit(seconds: float) -> Iterator[None]:
         return
 
     def stop(*_: object) -> None:
+        """Raise the error; this handles the alarm."""
         raise TimeoutError(f"no answer within {seconds:g} s (--timeout gives it more)")
 
     before = signal.signal(signal.SIGALRM, stop)

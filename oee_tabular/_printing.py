@@ -1,6 +1,4 @@
-"""How results print: what their values are, in words, and one small table for
-notebooks, everything escaped.
-"""
+"""Numbers as text, and small HTML tables of results for notebooks, with escapes."""
 
 from __future__ import annotations
 
@@ -8,14 +6,15 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-# what a value is, wherever nothing else is said
+# the unit of a value, unless something else is said
 SUM = "discounted sum of rewards, not normalised"
 _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
 
 
 def spec(lower: float, upper: float) -> str:
-    """The format of an interval's ends, and of the value between them: four digits, and
-    two at least of the width.
+    """Choose the format of an interval's ends, and of the value between them.
+
+    It has at least four significant digits, and shows at least two digits of the width.
 
     Examples
     --------
@@ -26,17 +25,17 @@ def spec(lower: float, upper: float) -> str:
     width = upper - lower
     if not math.isfinite(largest) or largest == 0.0:
         return ".4g"
-    # the places of the first and the last digit
+    # the decimal places of the first and the last digit
     first = math.floor(math.log10(largest))
-    last = (
-        min(first - 3, math.floor(math.log10(width)) - 1) if width > 0.0 else first - 3
-    )
+    last = first - 3
+    if width > 0.0:
+        last = min(last, math.floor(math.log10(width)) - 1)
     last = max(last, first - 14)
     return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
 
 
 def share(part: float) -> str:
-    """A share of 1 in percent; what is not all of it, or not nothing, does not read so.
+    """Write a share of 1 in percent; only 1 itself reads as 100.0%, only 0 as 0.0%.
 
     >>> share(0.99996), share(1.0), share(0.421), share(1e-6)
     ('> 99.9%', '100.0%', '42.1%', '< 0.1%')
@@ -48,7 +47,7 @@ def share(part: float) -> str:
 
 
 def interval(lower: float, upper: float) -> str:
-    """[lower, upper], as ``spec`` says."""
+    """Write [lower, upper] in the format of ``spec``."""
     form = spec(lower, upper)
     return f"[{lower:{form}}, {upper:{form}}]"
 
@@ -61,16 +60,17 @@ def table(
     text_columns: int = 1,
     below: Sequence[str] = (),
 ) -> str:
-    """An HTML table: the first ``text_columns`` left-aligned, the others (numbers) to
-    the right; sentences below.
+    """Write an HTML table with sentences below it.
+
+    The first ``text_columns`` are aligned to the left, the others (numbers) to the right.
     """
 
     def line(cells: Sequence[object], tag: str) -> str:
-        inside = "".join(
-            f"<{tag}"
-            f' style="{_CELL}{"left" if k < text_columns else "right"}">{escape(str(cell))}</{tag}>'
-            for k, cell in enumerate(cells)
-        )
+        """Write a row."""
+        inside = ""
+        for k, cell in enumerate(cells):
+            style = f"{_CELL}{'left' if k < text_columns else 'right'}"
+            inside += f'<{tag} style="{style}">{escape(str(cell))}</{tag}>'
         return f"<tr>{inside}</tr>"
 
     head = f"<thead>{line(header, 'th')}</thead>" if header else ""
@@ -81,10 +81,10 @@ def table(
 
 
 def facts(caption: str, rows: Sequence[tuple[str, object]]) -> str:
-    """A table of names and values."""
+    """Write an HTML table of names and values."""
     return table([], rows, caption=caption, text_columns=2)
 
 
 def text(words: object, caption: str) -> str:
-    """What prints as a table in a terminal, in the same letters."""
+    """Write a table that is laid out for the terminal as preformatted HTML."""
     return f"<div><p>{escape(caption)}</p><pre>{escape(str(words))}</pre></div>"

@@ -1,8 +1,8 @@
-"""What is being done, for people who wait: nothing for quick work, else lines and bars
-on stderr (tqdm).
+"""Progress of slow work, as lines and bars (tqdm) on stderr.
 
-A step is told once the work has taken two seconds, at most one every two. Who waits for
-the compiler gets one sentence; the command sets ``tell``.
+Quick work prints nothing. A step is printed once the work has taken two seconds, at
+most one every two seconds. The command sets ``tell``, by which a user who waits for the
+compiler gets one sentence.
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ from contextlib import contextmanager
 from typing import Any
 
 SECONDS = 2.0  # between two looks at the step that is being done
-LONG = 2.0  # seconds of compiling
+LONG = 2.0  # seconds of compiling after which the user is told
 
 tell: Callable[[str], object] | None = None
-_step: str | None = None  # what is being done; None: nobody listens
+_step: str | None = None  # what is being done; None means that nobody listens
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
-    """A tqdm bar over ``items`` (or of a ``total``), shown after two seconds, on a
-    terminal alone, gone at the end.
+    """Make a tqdm bar over ``items``, or of a ``total``.
+
+    It appears after two seconds, only on a terminal, and is removed at the end.
     """
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
-    return tqdm(
-        items,
-        desc=title,
-        **({"disable": None, "delay": SECONDS, "leave": False} | options),
-    )
+    # None disables the bar unless stderr is a terminal
+    defaults: dict[str, Any] = {"disable": None, "delay": SECONDS, "leave": False}
+    return tqdm(items, desc=title, **(defaults | options))
 
 
 def report_step(step: str) -> None:
-    """Say what is being done now; it is told if somebody listens and it is slow."""
+    """Set what is being done now; it is printed if somebody listens and it is slow."""
     global _step
     if _step is not None:
         _step = step
@@ -46,8 +45,10 @@ def report_step(step: str) -> None:
 
 @contextmanager
 def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
-    """Steps inside are told on stderr; those who listen already go on
-    (``only_terminal``: nobody else, unless it is one).
+    """Print the steps inside on stderr.
+
+    Inside another ``show_steps`` nothing changes. With ``only_terminal``, nothing is
+    printed unless stderr is a terminal.
     """
     global _step
     if _step is not None or (only_terminal and not sys.stderr.isatty()):
@@ -66,6 +67,7 @@ def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
 
 
 def _tell_steps(is_done: threading.Event) -> None:
+    """Print each new step, until the work is done."""
     start = time.monotonic()
     last = ""
     while not is_done.wait(SECONDS):
@@ -81,13 +83,16 @@ def _tell_steps(is_done: threading.Event) -> None:
 
 @functools.cache
 def announce_compiling(tell: Callable[[str], object]) -> None:
-    """One sentence to ``tell``, once numba has compiled for two seconds."""
+    """Send one sentence to ``tell`` once numba has compiled for two seconds."""
     from numba.core import event
 
     class Listener(event.TimingListener):
+        """A listener that adds up the time of compiling."""
+
         is_told = False
 
         def on_end(self, happening: Any) -> None:
+            """Send the sentence, once."""
             super().on_end(happening)  # type: ignore[no-untyped-call]
             if self.done and self.duration > LONG and not self.is_told:
                 self.is_told = True

@@ -217,20 +217,10 @@ def evaluate(
     """
     if output is not None:
         oee.report.check_output(output)
-    title: str | None = None
-    page: Path | None = None
-    if report is not None:
-        title, page = _read_title(report)
-        oee.report.check_page(page)
+    title, page = _read_page(report)
     settings = task_options(task_option)
     cells = read_grid(grid)
-    for_tasks = {
-        "--task-option": bool(settings),
-        "--grid": cells is not None,
-        "--fit": bool(fit),
-        "--history": history != "auto",
-    }
-    _refuse_without_task(simulator, for_tasks)
+    _refuse_task_options(simulator, settings, cells, fit, history)
     # options that need a simulator whose states are numbered, and a log
     for_files: dict[str, object] = {
         "--features": features,
@@ -301,17 +291,21 @@ def evaluate(
             rewards=rewards,
             common=common,
         )
-    text = made.to_text(all=show_all, verbose=verbose)
-    print_result(text, made.to_dict() if as_json else {}, as_json)
+    record = made.to_dict() if as_json else {}
+    print_result(made.to_text(all=show_all, verbose=verbose), record, as_json)
     written = _write_report(made, output, page, title)
     if written and not as_json:
         typer.echo(f"\nWritten: {', '.join(written)}")
 
 
-def _read_title(report: str) -> tuple[str | None, Path]:
-    """Split TITLE=FILE.html; the title is None where there is none."""
+def _read_page(report: str | None) -> tuple[str | None, Path | None]:
+    """Split TITLE=FILE.html, and check that the page can be written."""
+    if report is None:
+        return None, None
     title, _, name = report.rpartition("=")
-    return title or None, Path(name or report)
+    page = Path(name or report)
+    oee.report.check_page(page)
+    return title or None, page
 
 
 def _split_names(text: str) -> list[str]:
@@ -320,13 +314,25 @@ def _split_names(text: str) -> list[str]:
     return [part for part in parts if part]
 
 
-def _refuse_without_task(simulator: str | None, is_given: Mapping[str, bool]) -> None:
-    """Refuse options of continuous tasks for another simulator."""
+def _refuse_task_options(
+    simulator: str | None,
+    settings: Mapping[str, object],
+    cells: object,
+    fit: str | None,
+    history: str,
+) -> None:
+    """Refuse options of continuous tasks if the simulator is none."""
+    is_given = {
+        "--task-option": bool(settings),
+        "--grid": cells is not None,
+        "--fit": bool(fit),
+        "--history": history != "auto",
+    }
     given = [option for option in is_given if is_given[option]]
     if not given or is_continuous(simulator):
         return
     if simulator is not None:
-        task_of(simulator)  # which may not be there at all
+        task_of(simulator)  # a simulator that does not exist is the better error
     raise ValueError(
         f"{given[0]} needs a continuous task (--simulator cartpole:gravity=10)"
     )
