@@ -215,9 +215,7 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    if output is not None:
-        oee.report.check_output(output)
-    title, page = _read_page(report)
+    title, page = _read_page(output, report)
     settings = task_options(task_option)
     cells = read_grid(grid)
     _refuse_task_options(simulator, settings, cells, fit, history)
@@ -298,8 +296,12 @@ def evaluate(
         typer.echo(f"\nWritten: {', '.join(written)}")
 
 
-def _read_page(report: str | None) -> tuple[str | None, Path | None]:
-    """Split TITLE=FILE.html, and check that the page can be written."""
+def _read_page(
+    output: Path | None, report: str | None
+) -> tuple[str | None, Path | None]:
+    """Split TITLE=FILE.html, and check that folder and page can be written."""
+    if output is not None:
+        oee.report.check_output(output)
     if report is None:
         return None, None
     title, _, name = report.rpartition("=")
