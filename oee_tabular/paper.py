@@ -178,8 +178,8 @@ def theorem_1(n, nu, mu, delta, D_inf, K):
 
     -> theory.estimation_bound
 
-    Wrong: no K fits all P and Q (it must grow as 1 / min q).
-    -> theory.universal_constant_counterexample
+    Wrong: no K fits all P and Q (it must grow as 1 / min q), as
+    theory.universal_constant_counterexample shows.
     """
     spread = mu + max(np.log(mu), -np.log(nu)) + np.sqrt(2 * np.log(1 / delta))
     return K * np.exp(D_inf) * spread / np.sqrt(n)
@@ -202,7 +202,7 @@ def theorem_2(T, R, gamma, error, nu):
     times it is the sum below.
     -> theory.value_error_bound
 
-    False: t for t^2, no factor of the lemma, and 1 / nu bounds no zeta.
-    -> theory.value_bound_counterexample
+    False: t for t^2, no factor of the lemma, and 1 / nu bounds no zeta, as
+    theory.value_bound_counterexample shows.
     """
     return T * error**2 * R**2 * sum(t * (gamma / nu) ** t for t in range(1, T + 1))
