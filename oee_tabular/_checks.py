@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, Seed, SparseLike
+from oee_tabular.typing import Array, BoolArray, Seed
 
 T = TypeVar("T")
 
@@ -87,7 +87,7 @@ def escape_controls(text: str, keep: str = "") -> str:
     return "".join(letters)
 
 
-def is_sparse(value: object) -> TypeGuard[SparseLike]:
+def is_sparse(value: object) -> TypeGuard[Any]:
     """Return whether a value is one of scipy's sparse matrices or arrays.
 
     No method of it is called, since a malformed one may end the process.

@@ -76,8 +76,26 @@ report = oee.evaluate(problem, {"mine": [0, 1]}, confidence=0.9, seed=0)
 narrowed = oee.evaluate(problem, [0, 1], lower_ratio=0.5, upper_ratio=2.0)
 chosen = oee.evaluate(problem, [[0, 1], [1, 1]], estimators=["oee", "model-based"])
 own = oee.evaluate(problem, [0, 1], estimators={"mine": weighted})
-function = oee.evaluate(problem, [0, 1], estimators=[lambda problem, policy: 0.0])
-best_policy = oee.report.contest(problem, {"a": [0, 1], "b": [1, 1]}, seed=0)
+
+
+def mean(problem: oee.Problem, policy: Array) -> float:
+    """Return an estimate, as users' own functions do."""
+    return 1.0
+
+
+def seeded(
+    problem: oee.Problem, policy: PolicyLike, *, seed: Seed = None
+) -> oee.Estimate:
+    """Return an estimate, as users' own functions do."""
+    return oee.Estimate(1.0)
+
+
+function = oee.evaluate(problem, [0, 1], estimators=[mean, seeded, "mwl"])
+classes = oee.evaluate(problem, [0, 1], estimators=[oee.estimators.ModelBased])
+tied_row = oee.evaluate(problem, lambda s: 0, tie=np.zeros(8, dtype=np.int64))
+featured = oee.evaluate(problem, {"s": 0}, features=lambda s, a, t: s + t)
+certain = oee.interval(problem, [0, 1], method="robust", tie=[1, 2, 3])
+best_policy = oee.report.contest(problem, {"a": [0, 1], "b": [1, 1]})
 table: pd.DataFrame = report.table
 report.to_html("page.html")
 sure = oee.interval(problem, [0, 1], method="likelihood", confidence=0.9)
@@ -102,3 +120,17 @@ except ArgumentError as error:
     argument: str = error.argument
 kinds: list[type[OeeWarning]] = [DataWarning]
 verdicts = oee.testing.check_estimator(weighted)
+
+# models and logs in other forms
+by_name = oee.FiniteMDP(
+    rows, sparse.csr_matrix(np.ones((4, 2))), {"a": 1.0}, 0.9, state_names=["a", "b"]
+)
+indexed = oee.FiniteMDP(P, P, "a", 0.9, state_names=pd.Index(["a", "b"]))
+moved = indexed.with_initial(np.int64(1)).with_layout(None)
+series = oee.Transitions(pd.Series([0, 1]), range(2), ["a", "b"], state_names=["a"])
+renamed = oee.Transitions.from_frame(frame, state="state", next_state="next_state")
+several = oee.Transitions.open(["a.csv", "b.csv"], simulator=small, jobs=-1)
+tallied = oee.TransitionCounts([0, 1], [0, 0], [1, 1], [30, 12])
+walks = oee.Transitions.from_episodes([[("hall", "go", -1.0), ("dock", True)]])
+wider = small.with_support_of(log, 0.1)
+learned = oee.FiniteMDP.from_log(log, discount=0.9, initial=0)

@@ -4,14 +4,18 @@ Nothing here is run; ``test_types.py`` gives the file to mypy and to pyright.
 """
 
 import numpy as np
+import pandas as pd
 
 import oee_tabular as oee
+from oee_tabular import FiniteMDP, TransitionCounts, Transitions
+from oee_tabular.mdp import check_policy, displacements, mix, uniform_policy
 
 P = [[[0.9, 0.1], [0.6, 0.4]], [[0.5, 0.5], [0.2, 0.8]]]
 mdp = oee.FiniteMDP(P, [[1.0, 0.8], [0.0, 0.2]], initial=0, discount=0.9)
 log = oee.Transitions([0, 1], [0, 1], [1, 0])
 problem = oee.Problem(mdp, log)
 policy = oee.uniform_policy(mdp)
+frame = pd.DataFrame({"a": [1]})
 
 # texts and numbers in the place of arrays, models, logs and policies
 oee.FiniteMDP("simulator.npz", [1.0, 0.0], 0, 0.9)  # wrong
@@ -73,3 +77,66 @@ oee.sample_episodes(mdp, policy, 10, 20, sed=0)  # wrong
 oee.sample_episodes(mdp, policy, "10", 20, seed=0)  # wrong
 oee.estimators.ImportanceSampling()(problem)  # wrong
 np.asarray(oee.uniform_policy(5))  # wrong
+
+# models and logs, one argument at a time
+FiniteMDP("P", [0, 1], 0, 0.9)  # wrong
+FiniteMDP(P, "r", 0, 0.9)  # wrong
+FiniteMDP(P, [0, 1], 0, "0.9")  # wrong
+FiniteMDP(P, [0, 1], 0, 0.9, state_names="ab")  # wrong
+FiniteMDP(P, [0, 1], 0, 0.9, layout="ab")  # wrong
+FiniteMDP(P, [0, 1], 0, 0.9, terminal_state="ab")  # wrong
+FiniteMDP(P, [0, 1], 0, 0.9, gamma=1)  # wrong
+FiniteMDP(P, ["a", "b"], 0, 0.9)  # wrong
+FiniteMDP.from_log("log.csv")  # wrong
+FiniteMDP.from_gymnasium("FrozenLake-v1")  # wrong
+FiniteMDP.from_env("FrozenLake-v1", samples_per_pair=3)  # wrong
+mdp.with_rewards("x")  # wrong
+mdp.with_support_of("x", 0.1)  # wrong
+check_policy(3, mdp)  # wrong
+check_policy("uniform", mdp)  # wrong
+check_policy([[1, 0]], "mdp")  # wrong
+uniform_policy(3)  # wrong
+mix(0.5, [[1, 0]], 0.5)  # wrong
+mix("x", [[1, 0]], 0.5)  # wrong
+displacements(P)  # wrong
+Transitions("x", "y", "z")  # wrong
+Transitions(0, 0, 0)  # wrong
+Transitions([0], [0], [0], "reward")  # wrong
+Transitions([0], [0], [0], rewards=[0])  # wrong
+Transitions.from_frame("log.csv")  # wrong
+Transitions.from_frame(frame, stat="a")  # wrong
+Transitions.from_frame(frame, state=3)  # wrong
+Transitions.from_frame(frame, reward=["a", "b"])  # wrong
+Transitions.from_frame(frame, simulator="x")  # wrong
+Transitions.open("x", bad_rows="keep")  # wrong
+Transitions.open("x", n_jobs=2)  # wrong
+Transitions.open(3)  # wrong
+Transitions.load(3)  # wrong
+TransitionCounts("x", [0], [0], [0])  # wrong
+TransitionCounts.of("x", 2)  # wrong
+log.counts("3", 2)  # wrong
+log.select("x")  # wrong
+log.first("3")  # wrong
+log.numbered("x")  # wrong
+
+# reports, intervals, comparisons and plans
+oee.evaluate(problem, 3)  # wrong
+oee.evaluate(problem, "new")  # wrong
+oee.evaluate(problem, policy, lower_raito=3)  # wrong
+oee.evaluate(problem, policy, lower_ratio="3")  # wrong
+oee.evaluate(problem, policy, estimators="oeee")  # wrong
+oee.evaluate(problem, policy, estimators=["oee", "wpdsi"])  # wrong
+oee.evaluate(problem, policy, estimators={"a": 3})  # wrong
+oee.evaluate(problem, policy, estimators=lambda problem, policy: "text")  # wrong
+oee.evaluate(problem, policy, tie="key")  # wrong
+oee.report.contest(problem, policy, confidnce=0.9)  # wrong
+oee.report.contest(problem, 3)  # wrong
+oee.report.contest(problem, [policy, policy], seed=3)  # wrong
+oee.interval(problem, policy, method="likelyhood")  # wrong
+oee.interval(problem, 3)  # wrong
+oee.interval(problem, policy, features="x")  # wrong
+oee.interval(problem, policy, radius="always")  # wrong
+oee.inference.compare_policies(problem, "x")  # wrong
+oee.inference.compare_policies(problem, [policy, policy], method="robust")  # wrong
+oee.plan_data_collection(problem, 3, n=3)  # wrong
+oee.plan_data_collection(problem, policy, n=3, sampling="fre")  # wrong
