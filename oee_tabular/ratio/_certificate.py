@@ -1,6 +1,6 @@
-"""Duality gaps of separable programs, from the program as it is stated.
+"""Duality gaps of separable programs, computed from the programs as they are stated.
 
-This file shares no code with what solves the programs (``dual``, ``joint``).
+This file shares no code with the solvers (``dual``, ``joint``).
 
 With the multipliers fixed, the Lagrangian of an entry is b g - p log g + a/2 g^2 up to
 a constant, and its least value over the box has a closed form. The gap is the sum of
@@ -18,17 +18,17 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def excess(b, a, p, g, lower, upper):
-    """h(g) - min of h over [lower, upper], h(g) = b g - p log g + a/2 g^2; inf where
-    there is no minimum.
+    """Compute h(g) - min h over [lower, upper], h(g) = b g - p log g + a/2 g^2.
 
-    A g outside counts as the nearest inside, and as far as it is off.
+    It is inf where there is no minimum. A g outside counts as the nearest point inside,
+    plus its distance from it.
     """
     total = max(lower - g, g - upper, 0.0)
     g = min(max(g, lower), upper)
     if not g < np.inf or (p > 0.0 and not g > 0.0):
         return np.inf
     if p > 0.0 and (a > 0.0 or b > 0.0):
-        # the root of a y^2 + b y = p, without cancellation
+        # The root of a y^2 + b y = p, without cancellation.
         size = abs(b) + np.sqrt(b * b + 4.0 * a * p)
         y = 2.0 * p / size if b > 0.0 else 0.5 * size / a
     elif p == 0.0 and a > 0.0:
@@ -52,18 +52,21 @@ def excess(b, a, p, g, lower, upper):
 
 @njit(cache=True, error_model="numpy")
 def equality_gap(miss, multiplier, n):
-    """What an equality of ``n`` terms adds to the gap."""
+    """Compute what an equality of ``n`` terms adds to the gap.
+
+    It is |multiplier| |miss|, and |miss| itself where it exceeds the sum's rounding.
+    """
     size = abs(miss)
     return abs(multiplier) * size + (size if size > 2.3e-16 * (n + 16) else 0.0)
 
 
 @njit(cache=True, error_model="numpy")
 def row_gaps(program, box, indptr, g, m, tied):
-    """(rows,) gaps of g with the multipliers m - 1 of sum q g = sum q (``tied``;
-    without it m is 1).
+    """Compute the (rows,) gaps of g with the multipliers m - 1 of sum q g = sum q.
 
-    ``program`` (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or
-    (squares) sum q g^2 / 2 - p g + a/2 (g - c)^2, over the box.
+    ``tied`` says whether there is this equality; without it m is 1. ``program``
+    (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or (squares) sum
+    q g^2 / 2 - p g + a/2 (g - c)^2, over the box.
     """
     p, q, a, c, squares = program
     gaps = np.zeros(len(indptr) - 1)
@@ -85,8 +88,9 @@ def row_gaps(program, box, indptr, g, m, tied):
 
 @njit(cache=True, error_model="numpy")
 def excesses(slope, p, g, lower, upper):
-    """The sum of what l(g) = slope g - p log g is above its least value in [lower,
-    upper_x], entry by entry.
+    """Compute sum_x [l_x(g_x) - min l_x] over [lower, upper_x].
+
+    l_x(g) = slope_x g - p_x log g.
     """
     total = 0.0
     for x in range(len(p)):
@@ -96,8 +100,11 @@ def excesses(slope, p, g, lower, upper):
 
 @njit(cache=True, error_model="numpy")
 def joint_gaps(f, point):
-    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in
-    the program ``f`` of ``ratio.joint``.
+    """Compute the (rows,) gaps of a point in the program ``f`` of ``ratio.joint``.
+
+    ``point`` (``statements.JointPoint``) has B, b and the multipliers. Each row's gap
+    is the sum of the excesses of B and b in the Lagrangian, of |multiplier| times the
+    distance from each bound of the ratio, and of the equality's.
     """
     moves, pairs, theta, eta, xi = point
     gaps = np.zeros(len(f.s))
@@ -106,6 +113,7 @@ def joint_gaps(f, point):
         mass = 0.0
         miss = 0.0
         slope = f.r[k]
+        # Entry by entry the excess of B, and what the ratio's bounds add.
         for x in range(f.indptr[k], f.indptr[k + 1]):
             mass += f.q[x]
             miss += f.q[x] * (moves[x] - b)

@@ -1,8 +1,9 @@
-"""Algorithm 1 on a network, in jax: the only file that imports the extra ``neural``.
+"""Training of networks by Algorithm 1, in jax.
 
-Double precision, batches from numpy's generator, one thread: the same seed gives the
-same bits. jax sums in an order that depends on its number of threads, which is settled
-where a process first uses jax: one that has used it before keeps its own.
+This is the only file that imports the extra ``neural``. It uses double precision,
+batches from numpy's generator and one thread, so that the same seed gives the same
+bits. jax sums in an order that depends on its number of threads, which is fixed when a
+process first uses jax; a process that has used it before keeps its own number.
 """
 
 from __future__ import annotations
@@ -25,17 +26,20 @@ from oee_tabular.typing import Array, IntArray
 if TYPE_CHECKING:
     from oee_tabular.ratio.network import Network
 
-EVERY = 100  # iterations between two looks at the held-out risk
-N_CELLS_AT_ONCE = 2**16  # evaluated together
+# The number of iterations between two checks of the held-out risk.
+N_ITERATIONS_PER_CHECK = 100
+# The number of cells on which a network is evaluated together.
+N_CELLS_AT_ONCE = 2**16
 
 
 class Training(NamedTuple):
-    """The cells, their weights (each side's sum to 1), and the risk's other terms.
+    """The data of a training: cells, weights, and the other terms of the risk.
 
-    ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for
-    one-hot states; ``sizes`` S and A. ``p``, ``q`` : train on; ``held_p``, ``held_q`` :
-    stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which sum P g = 1,
-    whose cells are all there are and q their share of p times P; None: the box is all.
+    ``cells`` are the columns s, a and, of transitions, s'; ``places`` (S, c), or None
+    for one-hot states; ``sizes`` S and A. ``p``, ``q``: weights to train on, each
+    summing to 1; ``held_p``, ``held_q``: weights to stop on, None without. ``ridge``:
+    (cells,). ``rows``: those in which sum P g = 1, whose cells are all there are and q
+    their share of p times P; None means that the box is the only constraint.
     """
 
     cells: tuple[IntArray, ...]
@@ -52,21 +56,21 @@ class Training(NamedTuple):
     rows: Rows | None = None
 
     def risk(self, g: Array, p: Array, q: Array) -> float:
-        """sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
+        """Compute sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
         return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
 
     def held_out_risk(self, g: Array) -> float:
-        """The risk on what is held out; nan without."""
-        return (
-            np.nan
-            if self.held_p is None or self.held_q is None
-            else self.risk(g, self.held_p, self.held_q)
-        )
+        """Compute the risk on the held-out weights; nan without any."""
+        if self.held_p is None or self.held_q is None:
+            return np.nan
+        return self.risk(g, self.held_p, self.held_q)
 
 
 class Trained(NamedTuple):
-    """The ratio kept, of iteration ``kept``; at each ``iteration`` checked the ratio
-    and the held-out risk (nan without).
+    """The result of a training: the ratio of iteration ``kept``, and all checks.
+
+    ``checked`` and ``held_out`` are the ratio and the held-out risk (nan without) at
+    each ``iteration`` checked.
     """
 
     ratio: Array
@@ -77,8 +81,10 @@ class Trained(NamedTuple):
 
 
 class Perceptron(eqx.Module):  # type: ignore[misc]
-    """f on cells. The first layer is one table an input: a one-hot vector times a
-    matrix is a row of it.
+    """The perceptron f on cells.
+
+    The first layer is one table an input, since a one-hot vector times a matrix is a
+    row of the matrix.
     """
 
     tables: list[jax.Array]
@@ -87,13 +93,15 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
     activation: str = eqx.field(static=True)
 
     def __init__(self, network: Network, training: Training, key: jax.Array):
+        """Draw the first parameters, with f = 0 everywhere."""
         n_states, n_actions = training.sizes
-        of_state = n_states if training.places is None else training.places.shape[1]
-        inputs = [of_state, n_actions, of_state][: len(training.cells)]
+        n_of_state = n_states if training.places is None else training.places.shape[1]
+        inputs = [n_of_state, n_actions, n_of_state][: len(training.cells)]
         widths = [*network.layers, 1]
         keys = jax.random.split(key, len(inputs) + len(widths))
-        scale = 1.0 / math.sqrt(len(inputs) if training.places is None else sum(inputs))
-        first = 0.0 if len(widths) == 1 else scale
+        # Of one-hot inputs one number an input is not 0.
+        n_active = len(inputs) if training.places is None else sum(inputs)
+        first = 0.0 if len(widths) == 1 else 1.0 / math.sqrt(n_active)
         self.tables = [
             first * jax.random.normal(k, (n, widths[0]))
             for k, n in zip(keys, inputs, strict=False)
@@ -105,14 +113,15 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
                 widths[:-1], widths[1:], keys[len(inputs) :], strict=False
             )
         ]
-        if self.rest:  # g = 1 at the start
+        if self.rest:
+            # g = 1 at the start.
             self.rest[-1] = jax.tree.map(jnp.zeros_like, self.rest[-1])
         self.activation = network.activation
 
     def __call__(
         self, places: jax.Array | None, cells: tuple[jax.Array, ...]
     ) -> jax.Array:
-        """f at the cells."""
+        """Compute f at the cells."""
         h = self.bias
         for k, (table, index) in enumerate(zip(self.tables, cells, strict=True)):
             h = h + (table if places is None or k == 1 else places @ table)[index]
@@ -122,8 +131,9 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
 
 
 class Batch(NamedTuple):
-    """The cells of an iteration, what p and q they have; of rows: which of the batch's
-    rows each is in, and its P there.
+    """The cells of an iteration and their p and q.
+
+    In training by rows also the row of the batch that each cell is in, and its P there.
     """
 
     index: Any
@@ -134,8 +144,9 @@ class Batch(NamedTuple):
 
 
 class NetworkProgram(eqx.Module):  # type: ignore[misc]
-    """From f to the ratio, and what a batch is: cell by cell in a box, or row by row
-    (``row``, ``known``, ``indptr``).
+    """The map from f to the ratio, and the batches, cell by cell or row by row.
+
+    ``row``, ``known`` and ``indptr`` are None cell by cell.
 
     In a box log g = log nu + (log mu - log nu) sigmoid(f + c), and a batch is draws of
     p and draws of q; by rows log zeta = f - log sum_s' P exp f, and a batch is draws of
@@ -152,6 +163,7 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
 
     @classmethod
     def of(cls, training: Training) -> NetworkProgram:
+        """Return the program of a training."""
         p = jnp.asarray(training.p)
         q = jnp.asarray(training.q)
         rows = training.rows
@@ -169,25 +181,27 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
         )
 
     def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
-        """log g from f on the batch."""
+        """Compute log g from f on the batch."""
         if self.row is None:
             low, high = self.span
             start = math.log(-low / high) if low < 0.0 < high else 0.0
             return low + (high - low) * jax.nn.sigmoid(f + start)
-        top = jax.lax.stop_gradient(
-            jax.ops.segment_max(f, batch.row, num_segments=len(f))
-        )[batch.row]
+        # The largest f of each row is subtracted so that exp does not overflow.
+        largest = jax.ops.segment_max(f, batch.row, num_segments=len(f))
+        top = jax.lax.stop_gradient(largest)[batch.row]
         total = jax.ops.segment_sum(
             batch.known * jnp.exp(f - top), batch.row, num_segments=len(f)
         )
         return f - top - jnp.log(total[batch.row])
 
     def whole(self) -> Batch:
-        """Every cell with its shares."""
+        """Return the batch of all cells."""
         return Batch(jnp.arange(len(self.p)), self.p, self.q, self.row, self.known)
 
     def batch(self, drawn: jax.Array) -> Batch:
-        """N draws of p, then N of q; by rows those of N draws of p, where narrow ones
+        """Return the batch of N draws of p and N draws of q.
+
+        By rows it has the whole rows of N draws of p; rows narrower than the widest
         repeat a cell without weight.
         """
         if self.row is None or self.indptr is None or self.known is None:
@@ -211,6 +225,7 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
 def _optimizer(
     name: str, step_size: float, n_iterations: int
 ) -> optax.GradientTransformation:
+    """Return the optimizer, whose step size falls along a quarter of a cosine."""
     steps = optax.cosine_decay_schedule(step_size, n_iterations)
     return optax.adam(steps) if name == "adam" else optax.sgd(steps)
 
@@ -228,26 +243,26 @@ def _iterate(
     draws: Any,
     count: int,
 ) -> Any:
-    """``count`` iterations, on the cells that ``draws`` (count, ...) say, or on all;
-    and the risk of each batch.
+    """Run ``count`` iterations; return the model, its state and each batch's risk.
+
+    ``draws`` (count, ...) are the cells of each batch; None means all cells.
     """
     moving, fixed = eqx.partition(model, eqx.is_array)
 
     def risk(moving: Any, batch: Batch) -> Any:
-        f = eqx.combine(moving, fixed)(
-            places, tuple(column[batch.index] for column in cells)
-        )
+        """Compute the risk of a batch."""
+        columns = tuple(column[batch.index] for column in cells)
+        f = eqx.combine(moving, fixed)(places, columns)
         log_g = program.log_ratio(f, batch)
         g = jnp.exp(log_g)
-        return jnp.sum(
-            batch.q * (g + ridge[batch.index] / 2 * (g - toward) ** 2) - batch.p * log_g
-        )
+        penalty = ridge[batch.index] / 2 * (g - toward) ** 2
+        return jnp.sum(batch.q * (g + penalty) - batch.p * log_g)
 
     def step(carry: Any, drawn: Any) -> Any:
+        """Update the parameters by the gradient of one batch's risk."""
         moving, state = carry
-        value, slope = jax.value_and_grad(risk)(
-            moving, program.whole() if drawn is None else program.batch(drawn)
-        )
+        batch = program.whole() if drawn is None else program.batch(drawn)
+        value, slope = jax.value_and_grad(risk)(moving, batch)
         change, state = optimizer.update(slope, state)
         return (optax.apply_updates(moving, change), state), value
 
@@ -257,13 +272,15 @@ def _iterate(
 
 @eqx.filter_jit  # type: ignore[untyped-decorator]
 def _outputs(model: Any, places: Any, cells: Any) -> Any:
+    """Compute f at the cells."""
     return model(places, cells)
 
 
 @functools.cache
 def _cpu() -> Any:
-    """The processor, as a device with one thread (the variable is read where the device
-    is made).
+    """Return the processor as a device with one thread.
+
+    The environment variable is read when the device is made.
     """
     before = os.environ.get("PJRT_NPROC")
     os.environ["PJRT_NPROC"] = "1"
@@ -278,7 +295,7 @@ def _cpu() -> Any:
 def train(
     network: Network, training: Training, generator: np.random.Generator
 ) -> Trained:
-    """Algorithm 1; the parameters of least held-out risk, or the last."""
+    """Train by Algorithm 1; keep the ratio of least held-out risk, or the last."""
     with jax.default_device(_cpu()), jax.enable_x64(True):
         return _train(network, training, generator)
 
@@ -286,9 +303,9 @@ def train(
 def _train(
     network: Network, training: Training, generator: np.random.Generator
 ) -> Trained:
-    model = Perceptron(
-        network, training, jax.random.key(int(generator.integers(2**31)))
-    )
+    """Train on the device and in the precision that the caller has set."""
+    key = jax.random.key(int(generator.integers(2**31)))
+    model = Perceptron(network, training, key)
     optimizer = _optimizer(
         network.optimizer, float(network.step_size), network.n_iterations
     )
@@ -304,14 +321,14 @@ def _train(
     bar = progress_bar("training", total=network.n_iterations)
     while True:
         held.append(training.held_out_risk(ratios[-1]))
-        # the last where nothing is held out
+        # Where nothing is held out the last ratio is kept.
         kept = len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))
-        if (
-            iterations[-1] == network.n_iterations
-            or len(held) - 1 - kept >= network.patience
-        ):
+        n_checks_without_gain = len(held) - 1 - kept
+        if iterations[-1] == network.n_iterations:
             break
-        count = min(EVERY, network.n_iterations - iterations[-1])
+        if n_checks_without_gain >= network.patience:
+            break
+        count = min(N_ITERATIONS_PER_CHECK, network.n_iterations - iterations[-1])
         drawn = _draw(network.batch_size, program, generator, count)
         model, state, values = _iterate(
             model,
@@ -338,7 +355,7 @@ def _train(
 def _ratio_everywhere(
     model: Any, places: Any, cells: Any, program: NetworkProgram, training: Training
 ) -> Array:
-    """g on all cells."""
+    """Compute g on all cells, clipped to the box."""
     n = len(cells[0])
     parts = [slice(low, low + N_CELLS_AT_ONCE) for low in range(0, n, N_CELLS_AT_ONCE)]
     f = jnp.concatenate(
@@ -357,8 +374,9 @@ def _draw(
     generator: np.random.Generator,
     count: int,
 ) -> Any:
-    """(count, draws): the cells of N draws from each side; None where every iteration
-    has them all.
+    """Draw the cells of ``count`` batches, (count, draws), N from each side.
+
+    By rows they are N from p. None means that every batch has all cells.
     """
     if size is None:
         return None
@@ -374,14 +392,15 @@ def _draw(
 def _refuse_divergence(
     values: Array, start: float, done: int, step_size: float
 ) -> None:
-    """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat
-    above that of g = 1.
+    """Raise a RuntimeError where training diverges.
+
+    It does where a batch's risk is not finite, or the mean of these batches is 1 nat
+    above the risk of g = 1.
     """
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size or values.mean() > start + 1.0:
-        at, value = (
-            (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
-        )
+        at = bad[0] if bad.size else len(values) - 1
+        value = values[at] if bad.size else values.mean()
         raise RuntimeError(
             f"training must not diverge; at iteration {done + at + 1} the risk is"
             f" {value:.4g}, at the start it was {start:.4g}: give a smaller step_size"

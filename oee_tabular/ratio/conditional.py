@@ -1,21 +1,19 @@
-"""zeta row by row against the known simulator: shrunk frequencies, then the KL program
-of each row.
+"""Ratios fitted row by row against the known simulator, from shrunk frequencies.
 
-A row's frequencies get ``strength`` pseudo-counts of a prior row m (the simulator, or
-its tilt), p = (n + kappa m) / (n_sa + kappa), and zeta minimises sum_s' P z - p log z
-(+ ridge) over the box, subject to sum_s' P z = 1. Without ridge and box that is zeta =
-(n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet
-prior.
+A row is the distribution of s' in one state-action pair. Its frequencies get
+``strength`` pseudo-counts of a prior row m (the simulator, or its tilt), p = (n + kappa
+m) / (n_sa + kappa), and zeta minimises sum_s' P z - p log z (+ ridge) over the box,
+subject to sum_s' P z = 1. Without ridge and box that is zeta = (n_sas' / P + kappa
+zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet prior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
@@ -23,7 +21,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import check_box, check_ridge
-from oee_tabular.ratio.features import count_rank, feature_array
+from oee_tabular.ratio.features import FeaturesLike, count_rank, feature_array
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network, fit_rows
 from oee_tabular.ratio.prior.directions import (
@@ -35,62 +33,78 @@ from oee_tabular.ratio.prior.directions import (
 from oee_tabular.ratio.prior.ridge import Tilt, fit_ridge
 from oee_tabular.ratio.prior.strength import (
     CRITERIA,
+    Criterion,
     choose_strength,
     kinds_of_rows,
     meaning,
 )
 from oee_tabular.ratio.result import Influence, TransitionRatio
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, Csr, IntArray
 
-Ridge = float | str | Callable[[float], float]
-SMALLEST = np.finfo(float).tiny  # in place of a weight of 0
+Prior: TypeAlias = Literal["ridge", "tilt", "simulator", "none", "average"]
+RidgeLike: TypeAlias = float | Criterion | Callable[[float], float]
+
+# It replaces a row's weight of 0, by which counts are divided.
+SMALLEST_WEIGHT = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
 class Conditional(Method):
-    """zeta row by row against the known simulator: the default. Rows of zeta * P sum to
-    1.
+    """Ratio fitted row by row against the known simulator (the default method).
 
     For each (s, a): minimise  sum_s' P z - p log z + ridge/2 sum_s' P (z - toward)^2
     over the box, subject to sum_s' P z = 1, with p the row's frequencies shrunk to a
-    prior row m, p = (n + kappa m) / (n_sa + kappa): eq. 3.7 with q = P known. Without
-    ridge and box zeta = (n_sas' / P + kappa m / P) / (n_sa + kappa); at kappa = 0 the
-    maximum-likelihood model.
+    prior row m, p = (n + kappa m) / (n_sa + kappa): eq. 3.7 with q = P known. Rows of
+    zeta * P sum to 1. Without ridge and box zeta = (n_sas' / P + kappa m / P) / (n_sa +
+    kappa); at kappa = 0 the maximum-likelihood model.
 
     Parameters
     ----------
-    prior : "ridge" (default) | "tilt" | "simulator" | "none"
-        The distribution that each pair's is shrunk to: the simulator's, or its conditional exponential tilt, zeta
-        proportional to exp(theta . phi), fitted to all pairs together. "ridge": phi are all directions made from the
-        simulator, the values of the policies that matter and ``features``, one strength per group by marginal likelihood
-        (``ratio.prior``; "average" is an older name). "tilt": ``features`` alone (log P without any), under the penalty
-        |theta|^2 / 2 on standardised features, a unit Gaussian prior. Neither has to do with the option ``ridge``.
-    strength : "evidence" (default) | "loo", or a nonnegative number
+    prior : {'ridge', 'tilt', 'simulator', 'none'}, default 'ridge'
+        The distribution that each pair's is shrunk to: the simulator's, or its
+        conditional exponential tilt, zeta proportional to exp(theta . phi), fitted to
+        all pairs together. 'ridge': phi are all directions made from the simulator, the
+        values of the policies that matter and ``features``, one strength per group by
+        marginal likelihood (``ratio.prior``; 'average' is an older name). 'tilt':
+        ``features`` alone (log P without any), under the penalty theta^2 / 2 on
+        standardised features, a unit Gaussian prior. Neither has to do with the option
+        ``ridge``.
+    strength : float, 'evidence' or 'loo', default 'evidence'
         How many transitions the prior is worth in each pair (kappa, the strength of a
-        Dirichlet prior): chosen by marginal likelihood or by leave-one-out, at least 1,
-        one for each kind of pairs (those with the same simulator probabilities; kinds
-        with fewer than 5 recorded pairs or 100 transitions are pooled), or given.
-        ``details`` has the choice, its curve and its meaning.
-    features : directions of your own for the tilt: an array aligned with
+        Dirichlet prior): a nonnegative number, or chosen by marginal likelihood or by
+        leave-one-out, at least 1, one for each kind of pairs (those with the same
+        simulator probabilities; kinds with fewer than 5 recorded pairs or 100
+        transitions are pooled). ``details`` has the choice, its curve and its meaning.
+    features : array-like, data frame or callable, optional
+        Directions of your own for the tilt: an array aligned with
         ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a
         function of (s, a, s'), or a data frame (columns state, action, next_state, by
-        number or name, and one a feature); ``oee.ratio.action_displacement`` makes some
-    lower, upper : bounds on zeta; None: 0 and no bound
-    ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function
-        gets the count n_sa of each row that has one, and "evidence" or "loo" chooses
-        kappa / n_sa on the data
-    solver : "dual", or a cvxpy solver
-    functions : None (tables: one number an entry), or ``Network(layers, ...)``: zeta =
-        exp f / sum_s' P exp f, f a network trained by Algorithm 1 on the rows together,
-        each with its share n_sa / n: the log's mean -log zeta, and the ridge. Without a
-        prior, a box or a solver; in unrecorded pairs it is the network's extrapolation
+        number or name, and one a feature). ``oee.ratio.action_displacement`` makes
+        some.
+    lower : float, optional
+        Lower bound on zeta. None means 0.
+    upper : float, optional
+        Upper bound on zeta. None means no bound.
+    ridge : float, callable, 'evidence' or 'loo', default 0.0
+        The factor of the squares above. A function gets the count n_sa of each row that
+        has one; 'evidence' or 'loo' chooses kappa / n_sa on the data.
+    toward : float or None, default 1.0
+        The number that the ridge pulls zeta to. None means ridge/2 * sum zeta^2.
+    solver : str, default 'dual'
+        'dual' (exact), or the name of a cvxpy solver.
+    functions : Network, optional
+        The class of functions. None means tables, one number an entry.
+        ``Network(layers, ...)`` means zeta = exp f / sum_s' P exp f, f a network
+        trained by Algorithm 1 on the rows together, each with its share n_sa / n: the
+        log's mean -log zeta, and the ridge. It goes without a prior, a box or a solver;
+        in unrecorded pairs it is the network's extrapolation.
 
     Notes
     -----
     Limit: the target's distributions in recorded pairs, the prior's elsewhere; at rate
-    n^-1/2, without the error of training. O(nnz) with "dual". A network's ``gap`` is
-    the mean's over the log's transitions, to the optimum over all rows; ``details`` has
-    ``trace``, ``kept`` and ``held_out_risk``.
+    n^-1/2, without the error of training. Cost: O(nnz) with 'dual'. A network's ``gap``
+    is the mean's over the log's transitions, to the optimum over all rows; ``details``
+    has ``trace``, ``kept`` and ``held_out_risk``.
 
     Examples
     --------
@@ -101,12 +115,12 @@ class Conditional(Method):
     [0.82, 1.18, 0.79, 1.21]
     """
 
-    prior: str | None = None
-    strength: float | str = "evidence"
-    features: Any = field(default=None, repr=False)
+    prior: Prior | None = None
+    strength: float | Criterion = "evidence"
+    features: FeaturesLike | None = field(default=None, repr=False)
     lower: float | None = None
     upper: float | None = None
-    ridge: Ridge = 0.0
+    ridge: RidgeLike = 0.0
     toward: float | None = 1.0
     solver: str = "dual"
     functions: Network | None = None
@@ -114,6 +128,7 @@ class Conditional(Method):
     USES: ClassVar = frozenset({"values_of", "horizon"})
 
     def __post_init__(self) -> None:
+        """Check the options."""
         _checks.instance(self.solver, str, "solver")
         box = check_box(self.lower, self.upper, normalized=True)
         prior = self.prior
@@ -132,7 +147,7 @@ class Conditional(Method):
                     f" {box.upper:g}]"
                 )
             prior = "none"
-        # "average": what the first edition called its default
+        # The first edition called its default "average".
         if prior in (None, "average"):
             prior = "ridge"
         object.__setattr__(self, "prior", prior)
@@ -145,33 +160,48 @@ class Conditional(Method):
 
     @property
     def uses(self) -> frozenset[str]:
-        """The policies' values are directions of the default."""
-        return self.USES if PRIORS[str(self.prior)] is _tilt_along_all else frozenset()
+        """Return the inputs that matter: only the default's directions have values."""
+        if PRIORS[str(self.prior)] is _tilt_along_all:
+            return self.USES
+        return frozenset()
 
     def _refusal(self, name: str) -> str:
-        rule = f"must be left out with prior {self.prior!r}, which does not use them"
-        return rule if name in self.USES else super()._refusal(name)
+        """Return the rule that an unused input breaks."""
+        if name in self.USES:
+            return (
+                f"must be left out with prior {self.prior!r}, which does not use them"
+            )
+        return super()._refusal(name)
 
     def _exact(self) -> Conditional:
+        """Return this method without a network."""
         return replace(self, functions=None)
 
-    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """The exact P_target / P_simulator on the rows that have data, the prior's
-        elsewhere.
+    def limit(self, population: Population) -> TransitionRatio | Csr:
+        """Return the exact P_target / P_simulator on rows with data, else the prior's.
+
+        Parameters
+        ----------
+        population : Population
+            The two models and the distribution of the data.
+
+        Returns
+        -------
+        TransitionRatio or sparse array of shape (S*A, S)
+            The limit of zeta; with a box or a ridge, that of their program.
         """
-        fitted = super().limit(population)
+        fitted = self._fit_limit(population)
         if self.lower is not None or self.upper is not None or self.ridge != 0.0:
             return fitted
         matrix = population.simulator.transitions
-        exact = align(population.target.transitions, matrix)[0] / np.where(
-            matrix.data > 0, matrix.data, 1.0
-        )
-        seen = population.support[row_of_entry(matrix)]
-        return csr_on_pattern(
-            matrix, np.where(seen, exact, fitted.on(population.simulator))
-        )
+        target, _ = align(population.target.transitions, matrix)
+        exact = target / np.where(matrix.data > 0, matrix.data, 1.0)
+        has_data = population.support[row_of_entry(matrix)]
+        zeta = np.where(has_data, exact, fitted.on(population.simulator))
+        return csr_on_pattern(matrix, zeta)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
+        """Fit the prior, its strength, and then each row's program."""
         observed = given.observed
         rows = given.rows
         box = check_box(self.lower, self.upper, normalized=True)
@@ -179,48 +209,48 @@ class Conditional(Method):
         tilt, details = PRIORS[str(self.prior)](given, self)
         kappa = self._choose_kappa(given, tilt, details)
         lam = self._choose_ridge(given, n_row, details)
-        center = (
-            0.0
-            if self.toward is None
-            else _checks.number_in(self.toward, "toward", 0.0, np.inf)
-        )
+        center = 0.0
+        if self.toward is not None:
+            center = _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
         share = np.divide(
             n_row, n_row + kappa, out=np.zeros_like(n_row), where=n_row > 0
         )
-        zeta, curvature, *ends = (
-            np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2)
-        )
+        zeta = np.empty(len(observed))
+        curvature = np.empty(len(observed))
+        below = np.empty(len(observed))
+        above = np.empty(len(observed))
+        is_structured = self.solver == "dual"
         gaps = [0.0 if tilt is None else tilt.gap]
-        whole = (
-            self.solver != "dual"
-            or self.functions is not None
-            or len(observed) <= BLOCK
-        )
-        for some in (rows,) if whole else rows.blocks():
+        # Blocks of rows keep memory small. A network is trained on all rows together,
+        # and a conic solver is called once.
+        in_blocks = is_structured and self.functions is None and len(observed) > BLOCK
+        for some in rows.blocks() if in_blocks else (rows,):
             number = some.number
             at = some.entries
             spread = some.spread
             m = some.weights if tilt is None else tilt.at(some)
-            weight = np.maximum(n_row[number] + kappa[number], SMALLEST)
+            weight = np.maximum(n_row[number] + kappa[number], SMALLEST_WEIGHT)
             p = np.where(
                 spread(n_row[number] == 0),
                 m,
                 (observed[at] + spread(kappa[number]) * m) / spread(weight),
             )
-            bend = spread(lam[number]) * (1.0 if self.toward is None else some.weights)
-            program = dual.Coordinates(p, some.weights, bend, np.full(len(p), center))
+            ridge = spread(lam[number])
+            if self.toward is not None:
+                ridge = ridge * some.weights
+            program = dual.Coordinates(p, some.weights, ridge, np.full(len(p), center))
             if self.functions is not None:
                 fit, excess, more = fit_rows(
                     self.functions, observed, program, rows, seed=given.seed
                 )
                 return given.ratio(fit, "conditional", excess, details | more)
-            if self.solver == "dual":
+            if is_structured:
                 solution = dual.solve_rows(program, *box, some.indptr)
                 zeta[at] = solution.ratio
                 gap = solution.gap
-                ends[0][at] = solution.below
-                ends[1][at] = solution.above
+                below[at] = solution.below
+                above[at] = solution.above
             else:
                 zeta[at], eta = statements.solve_rows(
                     program, *box, some.indptr, solver=self.solver
@@ -229,29 +259,23 @@ class Conditional(Method):
             gaps.append(float(gap.max()))
             inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
             safe = np.where(inside, zeta[at], 1.0)
-            curvature[at] = np.where(inside, (p / safe) / safe + bend, 0.0)
-        if ends:
-            details["enclosure"] = tuple(ends)
-        return given.ratio(
-            zeta,
-            "conditional",
-            max(gaps),
-            details,
-            Influence(rows, observed, zeta, curvature, share, tilt),
-        )
+            curvature[at] = np.where(inside, (p / safe) / safe + ridge, 0.0)
+        if is_structured:
+            details["enclosure"] = (below, above)
+        influence = Influence(rows, observed, zeta, curvature, share, tilt)
+        return given.ratio(zeta, "conditional", max(gaps), details, influence)
 
     def _choose_kappa(
         self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]
     ) -> Array:
-        """kappa of each row as ``strength`` says, 0 without a prior; ``details`` get
-        the choice.
+        """Return kappa of each row, (rows,), and add the choice to ``details``.
+
+        It is 0 without a prior.
         """
         if self.prior == "none" or not isinstance(self.strength, str):
-            kappa = (
-                0.0
-                if self.prior == "none"
-                else _checks.number_in(self.strength, "strength", 0.0, np.inf)
-            )
+            kappa = 0.0
+            if self.prior != "none":
+                kappa = _checks.number_in(self.strength, "strength", 0.0, np.inf)
             details["strength"] = kappa
             return np.full(len(given.rows), kappa)
         _checks.one_of(self.strength, "strength", CRITERIA)
@@ -262,23 +286,24 @@ class Conditional(Method):
         choice = choose_strength(
             counts, prior, rows, self.strength, kind=kind[rows.number]
         )
+        name = "simulator" if tilt is None else "tilt"
         details |= {
             "strength": choice.strength,
             "strength_by": choice.criterion,
             "strength_score": choice.score,
             "strength_curve": (choice.grid, choice.curve),
             "strength_kinds": choice.kinds,
-            "meaning": meaning(
-                choice, rows.sums(counts), "simulator" if tilt is None else "tilt"
-            ),
+            "meaning": meaning(choice, rows.sums(counts), name),
         }
         return np.asarray(choice.by_kind[kind])
 
     def _choose_ridge(
         self, given: RatioInput, n_row: Array, details: dict[str, Any]
     ) -> Array:
-        """lambda of each row with data; chosen on them, kappa / n_sa: to second order
-        that of a Dirichlet prior.
+        """Return lambda of each row, (rows,), 0 where a row has no data.
+
+        Chosen on the data it is kappa / n_sa, which to second order has the effect of a
+        Dirichlet prior.
         """
         if isinstance(self.ridge, str):
             _checks.one_of(self.ridge, "ridge", CRITERIA)
@@ -301,15 +326,16 @@ class Conditional(Method):
 def _no_tilt(
     given: RatioInput, method: Conditional
 ) -> tuple[Tilt | None, dict[str, Any]]:
-    """The simulator's own rows."""
+    """Return no tilt: the prior is the simulator's own rows."""
     return None, {}
 
 
 def _tilt_along_features(
     given: RatioInput, method: Conditional
 ) -> tuple[Tilt | None, dict[str, Any]]:
-    """The tilt along the user's features alone, or log P, under a unit Gaussian
-    penalty.
+    """Fit the tilt along the user's features alone, under a unit Gaussian penalty.
+
+    Without features it is along log P.
     """
     features, details = _features(given, method)
     rows: Rows = given.get_or_compute(_informative)
@@ -330,16 +356,15 @@ def _tilt_along_features(
 def _tilt_along_all(
     given: RatioInput, method: Conditional
 ) -> tuple[Tilt | None, dict[str, Any]]:
-    """The tilt along all directions, shrunk by evidence."""
+    """Fit the tilt along all directions, each group's strength by evidence."""
     rows: Rows = given.get_or_compute(_informative)
     if not len(rows):
         return None, {}
     features, details = _features(given, method)
-    tilt = (
-        given.get_or_compute(_fit_without_values)
-        if features is None
-        else _fit_without_values(given, features)
-    )
+    if features is None:
+        tilt = given.get_or_compute(_fit_without_values)
+    else:
+        tilt = _fit_without_values(given, features)
     values = values_in(given.simulator, given.policies, given.horizon)
     if values or method.solver != "dual":
         directions = add_values(tilt.directions, values) if values else tilt.directions
@@ -369,42 +394,52 @@ PRIORS = {
 
 
 def _fit_without_values(given: RatioInput, features: Array | None = None) -> Tilt:
-    """The tilt along all directions but V, which no policy changes."""
+    """Fit the tilt along all directions but V, which do not depend on a policy."""
     rows: Rows = given.get_or_compute(_informative)
-    none = np.zeros((len(given.observed), 0))
-    directions = make_directions(
-        given.simulator, rows, none if features is None else features
-    )
+    if features is None:
+        features = np.zeros((len(given.observed), 0))
+    directions = make_directions(given.simulator, rows, features)
     return fit_ridge(
         directions, rows, given.observed[rows.entries], _choice_of_kappa(given)
     )
 
 
 def _informative(given: RatioInput) -> Rows:
-    """The recorded rows with more than one next state; the others have no information."""
+    """Return the recorded rows with more than one next state.
+
+    The others have no information about the tilt.
+    """
     return given.visited.select(np.diff(given.visited.indptr) > 1)
 
 
 def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
-    """kappa of the informative rows around given ones, as far as weights notice."""
+    """Return the function that chooses kappa of the informative rows around a model.
+
+    It takes the model's rows, (entries,), and returns kappa, (rows,), from the grid
+    alone: the weights that it is for hardly change beyond.
+    """
     rows: Rows = given.get_or_compute(_informative)
     counts = given.observed[rows.entries]
     kind = given.get_or_compute(_kinds)[rows.number]
-    return lambda model: (
-        choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
-    )
+
+    def choose(model: Array) -> Array:
+        """Choose kappa of each row by evidence on the grid."""
+        return choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
+
+    return choose
 
 
 def _kinds(given: RatioInput) -> IntArray:
-    """The kind of each row; those that none of the log's are of have the first's."""
+    """Return the kind of each row; kinds without recorded rows count as the first."""
     return kinds_of_rows(given.observed, given.rows)
 
 
 def _features(
     given: RatioInput, method: Conditional
 ) -> tuple[Array | None, dict[str, Any]]:
-    """The user's features on the simulator's entries, and their rank; a warning where
-    they are collinear within rows.
+    """Return the user's features on the simulator's entries, and their rank.
+
+    Warns where they are collinear within rows.
     """
     if method.features is None:
         return None, {}

@@ -1,31 +1,29 @@
-"""The ratio of two distributions by minimising the dual of the KL divergence: eq. 3.6
-and 3.7.
+"""The ratio of two distributions by the dual of the KL divergence (eq. 3.6 and 3.7).
 
-Reference ([1] is the room's): [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares
-approach
-to direct importance estimation, JMLR 10, 2009.
+Reference ([1] is that of ``oee_tabular.ratio``): [2] T. Kanamori, S. Hido and M.
+Sugiyama, A least-squares approach to direct importance estimation, JMLR 10, 2009.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge, check_weights
-from oee_tabular.ratio.features import KernelFunction, class_features
+from oee_tabular.ratio.features import KernelLike, class_features
 from oee_tabular.ratio.linear import N_CENTERS, fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
-from oee_tabular.typing import Array, Seed
+from oee_tabular.typing import Array, RealArrayLike, Seed
 
-ACCURATE = 1e-8  # nats
+# The largest gap, in nats, of a fit that is called "optimal".
+OPTIMAL_GAP_NATS = 1e-8
 
 
 @dataclass(frozen=True)
@@ -34,22 +32,37 @@ class RatioFit:
 
     Attributes
     ----------
-    ratio : (n,) array, beta = dP/dQ
-    enclosure : (lower, upper) arrays with the exact minimiser between them, entry by
-        entry: from the bracket of the multiplier with "dual", else the box
-    objective : value of the program at ``ratio``, p and q scaled to sum to 1
-    dual_bound : a lower bound on the program's optimum, from the multiplier
-    gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
-    normalizer : multiplier of sum q g = 1 (0 if it does not bind or is not imposed)
-    divergence : the dual estimate of KL(p || q), sum p log g - sum q g + 1
-    n_undetermined : entries with p = q = 0, which the data do not determine
-    p_total, q_total : sums of the given p and q, before they were scaled to 1
-    trace : for "sgd", its iterations (``SgdTrace``); None otherwise
-    weights : w of a linear or kernel class, g = Phi w; None for tables
-    details : for a class: the features' rank, or the kernel's centres and the part of
-        its Gram matrix that they leave
-    status : "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding
-        of 1, features of many scales)
+    ratio : ndarray of shape (n,)
+        The fitted ratio, beta = dP/dQ.
+    objective : float
+        Value of the program at ``ratio``, p and q scaled to sum to 1.
+    dual_bound : float
+        A lower bound on the program's optimum, from the multiplier.
+    gap : float
+        objective - dual_bound >= 0, absolute, in nats, computed without cancellation.
+    normalizer : float
+        Multiplier of sum q g = 1 (0 if it does not bind or is not imposed).
+    divergence : float
+        The dual estimate of KL(p || q), sum p log g - sum q g + 1, in nats.
+    n_undetermined : int
+        Number of entries with p = q = 0, which the data do not determine.
+    p_total : float
+        Sum of the given p, before it was scaled to 1.
+    q_total : float
+        Sum of the given q, before it was scaled to 1.
+    status : str
+        "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding of 1,
+        features of many scales).
+    trace : SgdTrace or None
+        The iterations of Algorithm 1; None with another solver.
+    weights : ndarray of shape (d,) or None
+        The parameters w of a linear or kernel class, g = Phi w; None for tables.
+    details : dict
+        For a class: the features' rank, or the kernel's centres and the part of its
+        Gram matrix that they leave.
+    enclosure : tuple of two ndarrays of shape (n,)
+        Lower and upper ends with the exact minimiser between them, entry by entry: from
+        the bracket of the multiplier with "dual", else the box.
 
     Examples
     --------
@@ -76,11 +89,9 @@ class RatioFit:
     )
 
     def __str__(self) -> str:
-        low, high = (
-            (self.ratio.min(), self.ratio.max())
-            if len(self.ratio)
-            else (np.nan, np.nan)
-        )
+        """Return one sentence about the fit."""
+        low = self.ratio.min() if len(self.ratio) else np.nan
+        high = self.ratio.max() if len(self.ratio) else np.nan
         return (
             f"ratio p / q of {len(self.ratio)} cells, without unit, from {low:.4g} to"
             f" {high:.4g}; KL(p || q) about {self.divergence:.4g} nats; gap"
@@ -88,6 +99,7 @@ class RatioFit:
         )
 
     def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
         rows: list[tuple[str, object]] = [
             ("cells", len(self.ratio)),
             ("undetermined cells", self.n_undetermined),
@@ -102,19 +114,19 @@ class RatioFit:
 
 @one_thread
 def density_ratio(
-    p: ArrayLike,
-    q: ArrayLike,
+    p: RealArrayLike,
+    q: RealArrayLike,
     *,
     lower: float | None = None,
     upper: float | None = None,
-    ridge: float | Callable[[Any], Any] = 0.0,
+    ridge: float | Callable[[float], float] = 0.0,
     toward: float | None = None,
     normalized: bool = True,
-    loss: str = "kl",
+    loss: Literal["kl", "chi2"] = "kl",
     solver: str | Sgd = "dual",
-    features: object = None,
-    kernel: str | KernelFunction | None = None,
-    coordinates: ArrayLike | None = None,
+    features: RealArrayLike | None = None,
+    kernel: KernelLike | None = None,
+    coordinates: RealArrayLike | None = None,
     n_centers: int = N_CENTERS,
     step_size: float = 0.1,
     batch_size: int = 64,
@@ -131,27 +143,51 @@ def density_ratio(
 
     Parameters
     ----------
-    p, q : (n,) nonnegative; counts or probabilities
-        Each is scaled to sum to 1 (``p_total`` and ``q_total`` are the original sums).
-    lower, upper : the paper's nu and mu; None: 0 and no bound
-    ridge : nonnegative number, or a function of n (the sum of p)
-    toward : None, or the number that the ridge pulls g to
-    normalized : whether sum q g = 1 is imposed
-    loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum
-        p g in place of the first two terms
-    solver : "dual" (structured, exact; of classes Clarabel), a cvxpy solver
-        ("CLARABEL", "SCS"), "sgd" or ``Sgd(...)``: the paper's Algorithm 1, for what
+    p : array-like of shape (n,)
+        Nonnegative counts or probabilities; scaled to sum to 1 (``p_total`` is the
+        original sum).
+    q : array-like of shape (n,)
+        Nonnegative counts or probabilities of the same entries; scaled to sum to 1
+        (``q_total`` is the original sum).
+    lower : float, optional
+        The paper's nu. None means 0.
+    upper : float, optional
+        The paper's mu. None means no bound.
+    ridge : float or callable, default 0.0
+        Nonnegative strength of the penalty, or a function of n (the sum of p).
+    toward : float, optional
+        The number that the ridge pulls g to. None means the paper's penalty sum g^2.
+    normalized : bool, default True
+        Whether sum q g = 1 is imposed.
+    loss : {'kl', 'chi2'}, default 'kl'
+        'kl' is the paper's; 'chi2' is least squares (LSIF [2]), sum q g^2 / 2 - sum p g
+        in place of the first two terms.
+    solver : str or Sgd, default 'dual'
+        'dual' (structured, exact; for classes Clarabel), the name of a cvxpy solver
+        ('CLARABEL', 'SCS'), 'sgd' or ``Sgd(...)``: the paper's Algorithm 1, for what
         training adds to the error (normalized=False, a box with 0 < lower and finite
-        upper)
-    features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the
-        class g = Phi w, for which the ridge is ridge/2 * |w|^2; within lower <= g <=
-        upper
-    kernel, coordinates, n_centers : "gaussian" (in standard deviations of the
-        coordinates) or a function of (m, c) and (k, c) points giving an (m, k) array:
-        the kernel's expansions over the entries, at ``coordinates`` (n,) or (n, c); the
-        ridge is that of the squared RKHS norm. Beyond ``n_centers`` the kernel is
-        replaced by its pivoted Cholesky approximation
-    step_size, batch_size, n_iterations, seed : of "sgd"
+        upper).
+    features : array-like of shape (n,) or (n, d), optional
+        Features of the class g = Phi w, for which the ridge is ridge/2 times the
+        squared length of w; within lower <= g <= upper. None means a table: one
+        parameter an entry.
+    kernel : 'gaussian' or callable, optional
+        The kernel whose expansions over the entries are the class; the ridge is that of
+        the squared RKHS norm. 'gaussian' is in standard deviations of the coordinates;
+        a function takes (m, c) and (k, c) points and returns an (m, k) array.
+    coordinates : array-like of shape (n,) or (n, c), optional
+        The points that the entries stand for, with a kernel.
+    n_centers : int, default 200
+        Number of points beyond which the kernel is replaced by its pivoted Cholesky
+        approximation.
+    step_size : float, default 0.1
+        Step size of solver 'sgd'.
+    batch_size : int, default 64
+        Number of draws from each side at an iteration of 'sgd'.
+    n_iterations : int, default 10000
+        Number of iterations of 'sgd'.
+    seed : int, Generator or None, optional
+        Seed of the draws of 'sgd'.
 
     Returns
     -------
@@ -163,16 +199,21 @@ def density_ratio(
     Raises
     ------
     ValueError
-        q = 0 < p with neither an upper bound nor a ridge towards 0 (the program is
-        unbounded; names the entries); lower > upper; a box that excludes the
-        normalisation; negative weights; all-zero p or q; a solver that is not
-        installed; features of another length, or that span no function in the box.
+        If q = 0 < p with neither an upper bound nor a ridge towards 0 (the program is
+        unbounded; the entries are named), if lower > upper, if the box excludes the
+        normalisation, if weights are negative or all zero, if the solver is not
+        installed, or if features are of another length or span no function in the box.
     RuntimeError
-        The cvxpy solver stopped short of "optimal"; a class without a minimum.
+        If the cvxpy solver stopped short of "optimal", or if a class has no minimum.
+
+    See Also
+    --------
+    transition_ratio : The ratio of transition probabilities from a log.
+    check_assumptions : The paper's assumptions for p, q and a box.
 
     Notes
     -----
-    Cost: O(n) times a few Newton steps with "dual"; with features, solved by Clarabel,
+    Cost: O(n) times a few Newton steps with 'dual'; with features, solved by Clarabel,
     about forty steps of O(n d^2). Collinear features are solved, with a warning and
     their rank.
 
@@ -183,13 +224,9 @@ def density_ratio(
     ([1.5, 0.5], 0.0)
     """
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
-    sgd = (
-        Sgd(step_size, batch_size, n_iterations)
-        if solver == "sgd"
-        else solver
-        if isinstance(solver, Sgd)
-        else None
-    )
+    sgd = solver if isinstance(solver, Sgd) else None
+    if solver == "sgd":
+        sgd = Sgd(step_size, batch_size, n_iterations)
     _checks.boolean(normalized, "normalized")
     weights = check_weights(p, q)
     n = len(weights[0])
@@ -211,13 +248,17 @@ def density_ratio(
     if coordinates is not None and not in_class:
         raise ArgumentError("coordinates", "must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
+    # Entries with p = q = 0 are left out, except of a class, which has a value there.
     known: Any = (weights[0] > 0) | (weights[1] > 0)
-    known = slice(None) if in_class or known.all() else known
+    if in_class or known.all():
+        known = slice(None)
     ps = weights[0][known] / totals[0]
     qs = weights[1][known] / totals[1]
-    curvature = (
-        np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
-    )
+    if toward is not None:
+        curvature = strength * qs
+    else:
+        # The ridge of a class is on its parameters.
+        curvature = np.full(len(ps), 0.0 if in_class else strength)
     program = dual.Coordinates(
         ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2"
     )
@@ -252,12 +293,9 @@ def density_ratio(
             ends = (enclosure[0], enclosure[1])
         else:
             g = dual.solve_free(program, *box)
-            ends = g, g
-        gap = float(
-            dual.row_gaps(
-                program, g, np.array([m]) if normalized else None, *box, whole
-            )[0]
-        )
+            ends = (g, g)
+        multiplier_plus_one = np.array([m]) if normalized else None
+        gap = float(dual.row_gaps(program, g, multiplier_plus_one, *box, whole)[0])
         with np.errstate(over="ignore", invalid="ignore"):
             penalty = program.penalty(g)
     if not (np.isfinite(g).all() and np.isfinite([gap, penalty]).all()):
@@ -266,13 +304,14 @@ def density_ratio(
             f" {strength:g} towards {center:g} in the box [{box.lower:g},"
             f" {box.upper:g}] does not give a finite ratio"
         )
-    ratio = np.full(
-        n, min(max(1.0 if toward is None else center, box.lower), box.upper)
-    )
+    elsewhere = 1.0 if toward is None else center
+    ratio = np.full(n, min(max(elsewhere, box.lower), box.upper))
     below = ratio.copy()
     above = ratio.copy()
     risk = program.risk(g)
-    ratio[known], below[known], above[known] = g, *ends
+    ratio[known] = g
+    below[known] = ends[0]
+    above[known] = ends[1]
     return RatioFit(
         ratio=_checks.freeze(ratio),
         objective=risk + penalty,
@@ -284,14 +323,16 @@ def density_ratio(
         n_undetermined=n - len(ps),
         p_total=totals[0],
         q_total=totals[1],
-        status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
+        status="optimal"
+        if gap <= OPTIMAL_GAP_NATS
+        else f"inaccurate: the gap is {gap:.1e}",
         enclosure=(below, above),
         **rest,
     )
 
 
 def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
-    """q = 0 < p, where only a bound or a ridge keeps g finite."""
+    """Raise an error where q = 0 < p and neither a bound nor a ridge keeps g finite."""
     bad = np.flatnonzero((program.q == 0) & (program.p > 0) & (program.curvature == 0))
     if bad.size and not np.isfinite(box.upper):
         named = ", ".join(str(int(i)) for i in index[bad[:5]])
@@ -304,8 +345,9 @@ def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
 
 
 def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
-    """Algorithm 1 minimises the KL risk alone, within a box that keeps its gradients
-    bounded.
+    """Raise an error for what Algorithm 1 cannot solve.
+
+    It minimises the KL risk alone, in a box that keeps its gradients bounded.
     """
     if normalized or loss != "kl":
         raise ValueError(

@@ -1,7 +1,9 @@
-"""The structured solver: rows of a separable program, each through a one-dimensional
-dual root, with its gap.
+"""The structured solver of separable programs, each row by a one-dimensional root.
 
-    minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q    (eq. 3.7)
+The program is (eq. 3.7)
+
+    minimise  sum_x q g - p log g + A/2 (g - c)^2
+    subject to  lower <= g <= upper,  sum_x q g = sum_x q,
 
 in each row. The loops solve q g - p log g - pull g + a/2 g^2. With the multiplier eta
 of the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels)
@@ -38,15 +40,16 @@ def check_box(
     normalized: bool,
     names: tuple[str, str] = ("lower", "upper"),
 ) -> Box:
-    """The bounds of a ratio as floats; errors for a box that is empty or, where g is
-    normalised, excludes 1.
+    """Return the bounds of a ratio as floats.
+
+    Raises an error for a box that is empty or, where g is normalised, excludes 1.
     """
-    nu = 0.0 if lower is None else _checks.number_in(lower, names[0], 0.0, np.inf)
-    mu = (
-        np.inf
-        if upper is None
-        else _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
-    )
+    nu = 0.0
+    if lower is not None:
+        nu = _checks.number_in(lower, names[0], 0.0, np.inf)
+    mu = np.inf
+    if upper is not None:
+        mu = _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
     if nu > mu:
         raise ArgumentError(
             names[0], f"must not exceed {names[1]}; they are {nu:g} and {mu:g}"
@@ -66,18 +69,21 @@ def check_box(
 
 
 def check_ridge(value: object, n: float) -> float:
-    """lambda_n as a finite nonnegative number: given, or a function of the sample size."""
-    name = f"ridge({n:g})" if callable(value) else "ridge"
-    return _checks.number_in(value(n) if callable(value) else value, name, 0.0, np.inf)
+    """Return lambda_n, a given number or a function of the sample size, checked."""
+    if callable(value):
+        return _checks.number_in(value(n), f"ridge({n:g})", 0.0, np.inf)
+    return _checks.number_in(value, "ridge", 0.0, np.inf)
 
 
 def check_weights(p: object, q: object) -> tuple[Array, Array]:
-    """Return p and q, counts or probabilities of the same cells, nonnegative and each
-    with a positive sum.
+    """Return p and q, counts or probabilities of the same cells, checked.
+
+    They are nonnegative, and each has a positive sum.
     """
-    weights = [
-        _checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))
-    ]
+    weights = (
+        _checks.float_array(p, "p", ndim=1),
+        _checks.float_array(q, "q", ndim=1),
+    )
     for array, name in zip(weights, ("p", "q"), strict=True):
         _checks.require_nonnegative(array, name)
         with np.errstate(over="ignore"):
@@ -91,23 +97,20 @@ def check_weights(p: object, q: object) -> tuple[Array, Array]:
             f"p and q must have one length; they have {len(weights[0])} and"
             f" {len(weights[1])}"
         )
-    return weights[0], weights[1]
+    return weights
 
 
 def check_distributions(p: object, q: object) -> tuple[Array, Array]:
-    """Return p and q, counts or probabilities of the same cells, each scaled to sum to
-    1.
-    """
+    """Return counts or probabilities p and q of the same cells, scaled to sum to 1."""
     p_weights, q_weights = check_weights(p, q)
     return p_weights / p_weights.sum(), q_weights / q_weights.sum()
 
 
 class Coordinates(NamedTuple):
-    """A separable program as it is stated, entry by entry: sum q g - p log g +
-    curvature/2 (g - center)^2.
+    """A separable program: minimise sum q g - p log g + curvature/2 (g - center)^2.
 
-    ``squares``: least squares (LSIF), the chi-square divergence's dual, sum q g^2 / 2 -
-    p g in place of the KL risk.
+    All arrays have one number an entry. ``squares`` means least squares (LSIF), the
+    chi-square divergence's dual: sum q g^2 / 2 - p g in place of the KL risk.
     """
 
     p: Array
@@ -117,37 +120,39 @@ class Coordinates(NamedTuple):
     squares: bool = False
 
     def risk(self, g: Array) -> float:
-        """sum q g - p log g, or sum q g^2 / 2 - p g."""
+        """Compute sum q g - p log g, or sum q g^2 / 2 - p g for least squares."""
         if self.squares:
             return 0.5 * float(self.q @ g**2) - float(self.p @ g)
-        seen = self.p > 0
+        has_log = self.p > 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            logs = self.p @ np.log(g) if seen.all() else self.p[seen] @ np.log(g[seen])
+            if has_log.all():
+                logs = self.p @ np.log(g)
+            else:
+                logs = self.p[has_log] @ np.log(g[has_log])
         return float(self.q @ g) - float(logs)
 
     def penalty(self, g: Array) -> float:
-        """sum curvature/2 (g - center)^2."""
-        return (
-            0.5 * float(self.curvature @ (g - self.center) ** 2)
-            if self.curvature.any()
-            else 0.0
-        )
+        """Compute sum curvature/2 (g - center)^2."""
+        if not self.curvature.any():
+            return 0.0
+        return 0.5 * float(self.curvature @ (g - self.center) ** 2)
 
     def kernel_form(self, lower: float, upper: float) -> Form:
-        """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
+        """Return the form q g - p log g - pull g + a/2 g^2 of the program.
+
+        It equals the program up to a constant.
+        """
         pull = self.curvature * self.center
         if self.squares:
             pull = self.p + pull + self.q
             a = self.q + self.curvature
-            return Form(
-                np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper)
-            )
+            no_log = np.zeros_like(self.p)
+            return Form(no_log, self.q, a, pull, float(lower), float(upper))
         return Form(self.p, self.q, self.curvature, pull, float(lower), float(upper))
 
 
 class RowSolution(NamedTuple):
-    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap
-    (absolute).
+    """Minimisers, m = 1 + the multiplier, and the absolute duality gap of each row.
 
     below <= the exact minimiser <= above, entry by entry: the minimisers at the two
     ends of the bracket of m, equal, up to rounding, but where a jump leaves the
@@ -164,23 +169,22 @@ class RowSolution(NamedTuple):
 def solve_rows(
     program: Coordinates, lower: float, upper: float, indptr: IntArray
 ) -> RowSolution:
-    """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the
-    callers.
+    """Solve every row ``indptr[k]:indptr[k+1]`` by itself.
 
-    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper.
-    Cost: O(entries) times a few steps; it cannot fail.
+    The callers check the arguments: p, q sum to 1 in each row that has entries;
+    curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it cannot
+    fail.
     """
     rows = indptr.astype(np.int64)
     m = np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
     fill_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
-    return RowSolution(
-        ratio, m, row_gaps(program, ratio, m, lower, upper, rows), below, above
-    )
+    gaps = row_gaps(program, ratio, m, lower, upper, rows)
+    return RowSolution(ratio, m, gaps, below, above)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
-    """The minimiser without the equality, in closed form."""
+    """Compute the minimiser without the equality, in closed form."""
     return np.asarray(fill_free(program.kernel_form(lower, upper)))
 
 
@@ -192,11 +196,11 @@ def row_gaps(
     upper: float,
     indptr: IntArray,
 ) -> Array:
-    """(rows,) duality gaps of any g with multipliers ``m`` - 1 of the rows' equalities
-    (None: there is no equality).
+    """Compute the duality gap of any g with multipliers ``m`` - 1, row by row.
 
-    From the program as stated, by code that no solver uses; what constraints are missed
-    by counts as it is. Cost: O(entries).
+    The multipliers are of the rows' equalities; None means that there is no equality.
+    The gap is computed from the program as stated, by code that no solver uses; what
+    constraints are missed by counts as it is. Cost: O(entries).
     """
     multiplier = np.ones(len(indptr) - 1) if m is None else m
     box = Box(float(lower), float(upper))
@@ -206,17 +210,21 @@ def row_gaps(
 
 
 def objective(g: Array, program: Coordinates) -> float:
-    """The program's value."""
+    """Compute the program's value at g."""
     return program.risk(g) + program.penalty(g)
 
 
-TINY = 1e-200  # multipliers nearer to 0 are 0
+# Multipliers nearer to 0 count as 0.
+TINY = 1e-200
+# The relative rounding error of a double, a little above 2^-52.
 ROUNDING = 2.3e-16
-N_STEPS = 4000  # halvings from the largest to the smallest number take 2000
+# The largest number of steps; halvings from the largest to the smallest double take
+# 2000.
+N_STEPS = 4000
 
 
 class Form(NamedTuple):
-    """The program's arrays (entries,) and its box."""
+    """The arrays (entries,) of a program as the kernels read it, and its box."""
 
     p: Any
     q: Any
@@ -228,8 +236,9 @@ class Form(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def coordinate(b, a, p, lower, upper):
-    """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every
-    point is one.
+    """Return argmin of b g - p log g + a/2 g^2 over [lower, upper].
+
+    It is ``lower`` where every point is one.
     """
     if p > 0.0:
         if a > 0.0:
@@ -250,17 +259,19 @@ def coordinate(b, a, p, lower, upper):
 
 @njit(cache=True, error_model="numpy")
 def minimiser(m, form, x):
-    """g_x(m)."""
+    """Return g_x(m) = argmin of (q_x m - pull_x) g - p_x log g + a_x/2 g^2."""
     return coordinate(
         form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper
     )
 
 
-# rows are short: a call costs as much as its loop
+# Rows are short, so that a call would cost as much as its loop.
 @njit(cache=True, error_model="numpy", inline="always")
 def fill_row(m, form, low, high, g):
-    """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative
-    in m.
+    """Fill g_x(m) for the entries low..high; return sum q (g - 1) and minus its slope.
+
+    The slope is d/dm sum q g_x(m) = - sum q^2 / (p / g^2 + a) over entries inside the
+    box.
     """
     miss = 0.0
     slope = 0.0
@@ -281,14 +292,14 @@ def fill_row(m, form, low, high, g):
 
 @njit(cache=True, error_model="numpy")
 def solve_row(form, low, high, g, below, above):
-    """Solve one row into ``g``, with the minimisers at the ends of m's bracket, below
-    <= g <= above; returns m.
+    """Solve one row into ``g`` between ``below`` and ``above``; return m.
 
-    Needs lower <= 1 <= upper. The bracket has miss(left) >= 0 >= miss(right); from m =
-    1 it shrinks by Newton's steps, each a little too long near the root so that both
-    ends come within rounding of it, by doubled steps where it has no end, and by
-    halving. g is the convex combination of the two ends' minimisers that meets the
-    equality, right at jumps too (p = 0 = a).
+    The root of sum q (g_x(m) - 1) = 0, with g at the two ends of m's bracket in
+    ``below`` and ``above``. Needs lower <= 1 <= upper. The bracket has miss(left) >= 0
+    >= miss(right); from m = 1 it shrinks by Newton's steps, each a little too long near
+    the root so that both ends come within rounding of it, by doubled steps where it has
+    no end, and by halving. g is the convex combination of the two ends' minimisers that
+    meets the equality, right at jumps too (p = 0 = a).
     """
     mass = 0.0
     curved = False
@@ -296,7 +307,7 @@ def solve_row(form, low, high, g, below, above):
         if form.q[x] > 0.0:
             mass += form.p[x]
             curved = curved or form.a[x] > 0.0
-    # every feasible g is a minimiser
+    # Every feasible g is a minimiser.
     if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():
         for x in range(low, high):
             g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
@@ -305,9 +316,10 @@ def solve_row(form, low, high, g, below, above):
         return 0.0
     left = -np.inf
     right = np.inf
-    # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
+    # Without a bound sum q g >= mass / m; with one all entries are at it once m < 0.
     if not curved:
         left = mass if form.upper == np.inf else -TINY
+    # Newton's method within the bracket, until it is as narrow as rounding.
     m = 1.0
     width = 1.0
     reach = ROUNDING
@@ -317,7 +329,7 @@ def solve_row(form, low, high, g, below, above):
             below[low:high] = g[low:high]
             above[low:high] = g[low:high]
             return m
-        # numbers that double precision does not hold
+        # Numbers that double precision does not hold.
         if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):
             g[low:high] = np.nan
             return np.nan
@@ -333,7 +345,7 @@ def solve_row(form, low, high, g, below, above):
             trial += np.copysign(reach * m, miss)
             reach *= 2.0
         if not left < trial < right or step % 16 == 0:
-            # g has no bound as m falls, or reaches its bounds as it rises
+            # g has no bound as m falls, or reaches its bounds as it rises.
             if right == np.inf or left == -np.inf:
                 trial = left + width if right == np.inf else right - width
                 width *= 2.0
@@ -342,6 +354,7 @@ def solve_row(form, low, high, g, below, above):
             if not left < trial < right:
                 break
         m = trial
+    # The convex combination of the two ends that meets the equality.
     at_left = fill_row(left, form, low, high, above)[0]
     at_right = fill_row(right, form, low, high, below)[0]
     share = (
@@ -360,14 +373,14 @@ def solve_row(form, low, high, g, below, above):
 
 @njit(cache=True, error_model="numpy")
 def fill_rows(form, indptr, g, below, above, m):
-    """Every row by itself: the ratios, what encloses them, and m of each row."""
+    """Solve every row by itself: fill the ratios, their enclosure, and each row's m."""
     for k in range(len(m)):
         m[k] = solve_row(form, indptr[k], indptr[k + 1], g, below, above)
 
 
 @njit(cache=True, error_model="numpy")
 def fill_free(form):
-    """Without the equality: m = 1."""
+    """Compute the minimiser without the equality, g_x(1)."""
     g = np.empty(len(form.p))
     for x in range(len(g)):
         g[x] = minimiser(1.0, form, x)

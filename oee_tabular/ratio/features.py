@@ -1,5 +1,4 @@
-"""Function classes that are linear in their parameters: features given by the user, or
-made from a kernel.
+"""Features of function classes: the user's, or made from a kernel.
 
 A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the linear
 class with features L, where the Gram matrix is L L^T, and the squared RKHS norm is
@@ -20,10 +19,10 @@ by the pivoted Cholesky decomposition, Applied Numerical Mathematics 62, 2012.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from oee_tabular import _checks
 from oee_tabular._sparse import find
@@ -34,19 +33,36 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.naming import Name, number_of
 from oee_tabular.mdp.rows import Rows, distinct_rows
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, FrameLike, IntArray, RealArrayLike
 
-KernelFunction = Callable[[Array, Array], Any]
-N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram matrix
+KernelFunction: TypeAlias = Callable[[Array, Array], RealArrayLike]
+KernelLike: TypeAlias = Literal["gaussian"] | KernelFunction
+# An array on the simulator's transitions, a data frame, or a function of (s, a, s').
+FeaturesLike: TypeAlias = (
+    RealArrayLike | FrameLike | Callable[[IntArray, IntArray, IntArray], RealArrayLike]
+)
+
+# The number of points whose k(x, x) is taken from one square of the Gram matrix.
+N_POINTS_PER_SQUARE = 64
+# The share of the largest k(x, x) up to which a pivot's variance counts as 0.
+PIVOT_TOLERANCE = 1e-12
+# The share of the largest k(x, x) by which a variance may be negative from rounding.
+NEGATIVE_VARIANCE_TOLERANCE = 1e-6
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
-    """Compute exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m)
-    array.
+    """Return the Gaussian kernel of a bandwidth, a function of two arrays of points.
 
     Parameters
     ----------
-    bandwidth : positive number, in units of the points
+    bandwidth : float
+        The bandwidth h > 0, in units of the points.
+
+    Returns
+    -------
+    callable
+        Takes (n, d) points x and (m, d) points c; returns the (n, m) array of
+        exp(-d^2 / (2 h^2)), d the distance of x and c.
 
     Examples
     --------
@@ -56,6 +72,7 @@ def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
     width = _checks.number_in(bandwidth, "bandwidth", 0.0, np.inf, open_ends=True)
 
     def kernel(x: Array, c: Array) -> Array:
+        """Compute the kernel of two arrays of points."""
         distance = (x**2).sum(axis=1)[:, None] - 2.0 * x @ c.T + (c**2).sum(axis=1)
         return np.asarray(np.exp(-np.maximum(distance, 0.0) / (2.0 * width**2)))
 
@@ -63,8 +80,10 @@ def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
 
 
 class KernelFeatures(NamedTuple):
-    """``matrix`` (n, r) with K = matrix matrix^T up to ``residual`` on the diagonal;
-    ``pivots`` are the r points used.
+    """Features (n, r) of a kernel, from its pivoted Cholesky factor.
+
+    K = matrix matrix^T up to ``residual`` on the diagonal; ``pivots`` are the numbers
+    of the r points used.
     """
 
     matrix: Array
@@ -75,12 +94,13 @@ class KernelFeatures(NamedTuple):
 def kernel_features(
     points: Array, kernel: KernelFunction, n_centers: int
 ) -> KernelFeatures:
-    """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with
-    r kernel columns evaluated.
+    """Factorise the kernel's Gram matrix on ``points`` (n, d) by pivoted Cholesky.
 
-    Raises ValueError where the kernel is not positive semidefinite on these points.
+    Cost: O(n r^2), with r kernel columns evaluated. Raises ValueError where the kernel
+    is not positive semidefinite on these points.
     """
-    parts = np.split(points, np.arange(N_DIAGONAL, len(points), N_DIAGONAL))
+    cuts = np.arange(N_POINTS_PER_SQUARE, len(points), N_POINTS_PER_SQUARE)
+    parts = np.split(points, cuts)
     left = np.concatenate([np.diag(_gram(kernel, part, part)) for part in parts])
     if not (left >= 0).all():
         bad = int(np.argmin(left))
@@ -95,30 +115,27 @@ def kernel_features(
     pivots = []
     for j in range(factor.shape[1]):
         pivot = int(np.argmax(left))
-        if left[pivot] <= 1e-12 * scale:
+        if left[pivot] <= PIVOT_TOLERANCE * scale:
             break
-        column = (
-            _gram(kernel, points, points[[pivot]])[:, 0]
-            - factor[:, :j] @ factor[pivot, :j]
-        )
+        column = _gram(kernel, points, points[[pivot]])[:, 0]
+        column = column - factor[:, :j] @ factor[pivot, :j]
         factor[:, j] = column / np.sqrt(left[pivot])
         pivots.append(pivot)
         left = left - factor[:, j] ** 2
         left[pivots] = 0.0
-        if left.min() < -1e-6 * scale:
+        if left.min() < -NEGATIVE_VARIANCE_TOLERANCE * scale:
             bad = int(np.argmin(left))
             raise ArgumentError(
                 "kernel",
                 "must be symmetric and positive semidefinite; given the points"
                 f" {pivots[-3:]} point {bad} has the variance {left[bad]:g}",
             )
-    return KernelFeatures(
-        factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max())
-    )
+    residual = float(np.maximum(left, 0.0).max())
+    return KernelFeatures(factor[:, : len(pivots)], np.array(pivots), residual)
 
 
 def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
-    """kernel(x, centers), checked: finite, of shape (n, m)."""
+    """Evaluate the kernel and check that it is finite and of shape (n, m)."""
     array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
     if array.shape != (len(x), len(centers)):
         raise ArgumentError(
@@ -131,28 +148,34 @@ def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
 
 
 def standard_gaussian(points: Array, bandwidth: float = 1.0) -> KernelFunction:
-    """Gaussian in units of each coordinate's standard deviation over the points."""
+    """Return the Gaussian in units of each coordinate's standard deviation."""
     size = points.std(axis=0)
     base = gaussian(bandwidth)
     size = np.where(size > 0, size, 1.0)
-    return lambda x, c: base(x / size, c / size)
+
+    def kernel(x: Array, c: Array) -> Array:
+        """Compute the Gaussian of two arrays of points in these units."""
+        return base(x / size, c / size)
+
+    return kernel
 
 
 def check_kernel(kernel: object) -> None:
-    """A function, or "gaussian"."""
+    """Raise an error unless the kernel is a function or "gaussian"."""
     if not callable(kernel):
         _checks.one_of(kernel, "kernel", ("gaussian",))
 
 
 def class_features(
-    features: object,
-    kernel: str | KernelFunction | None,
-    coordinates: ArrayLike | None,
+    features: RealArrayLike | None,
+    kernel: KernelLike | None,
+    coordinates: RealArrayLike | None,
     n_centers: int,
     n: int,
 ) -> tuple[Array, dict[str, Any]]:
-    """(n, d) features of n cells from the user's, or from a kernel on the cells'
-    coordinates; and what is said of them.
+    """Return the (n, d) features of n cells, and their part of a result's details.
+
+    They are the user's, or made from a kernel on the cells' coordinates.
     """
     if features is not None:
         for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
@@ -179,15 +202,15 @@ def class_features(
         )
     points = _check_points(coordinates, n, "one for each entry of p")
     check_kernel(kernel)
-    space = kernel_features(
-        points, kernel if callable(kernel) else standard_gaussian(points), n_centers
-    )
+    function = kernel if callable(kernel) else standard_gaussian(points)
+    space = kernel_features(points, function, n_centers)
     return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
 
 
 def count_rank(features: Array, *, where: str = "") -> int:
-    """The number of independent columns, each scaled to length 1, up to 1e-10; warns
-    where some are collinear.
+    """Return the number of independent columns, and warn where some are collinear.
+
+    Columns are scaled to length 1; eigenvalues below 1e-10 of the largest count as 0.
     """
     lengths = np.sqrt((features**2).sum(axis=0))
     d = features.shape[1]
@@ -203,14 +226,13 @@ def count_rank(features: Array, *, where: str = "") -> int:
     return rank
 
 
-def feature_array(features: object, simulator: FiniteMDP) -> Array:
-    """phi as an (entries, d) array of finite numbers.
+def feature_array(features: FeaturesLike, simulator: FiniteMDP) -> Array:
+    """Return the features as an (entries, d) array of finite numbers.
 
-    ``features``: a function of (s, a, s') arrays, an array of (entries,) or (entries,
-    d)
-    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a
-    data frame with columns state, action, next_state (numbers or the simulator's names)
-    and one for each feature, 0 for transitions that are not in it.
+    ``features`` is a function of the arrays (s, a, s'); an array of (entries,) or
+    (entries, d) aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A,
+    S, d); or a data frame with columns state, action, next_state (numbers or the
+    simulator's names) and one for each feature, 0 for transitions that are not in it.
     """
     matrix = simulator.transitions
     rows = Rows.of(simulator)
@@ -239,7 +261,7 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
 
 
 def _check_points(coordinates: object, n: int, rule: str) -> Array:
-    """(n, c) finite numbers from (n,) or (n, c)."""
+    """Return coordinates of (n,) or (n, c) as an (n, c) array of finite numbers."""
     points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
     _checks.require_finite(points, "coordinates")
     if len(points) != n:
@@ -250,8 +272,9 @@ def _check_points(coordinates: object, n: int, rule: str) -> Array:
 
 
 def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
-    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of
-    each simulator transition.
+    """Return each transition's action, coordinates of s and displacement, side by side.
+
+    The array has shape (entries, 1 + 2c).
     """
     places = _check_points(coordinates, simulator.n_states, "one a state")
     rows = Rows.of(simulator)
@@ -261,20 +284,24 @@ def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
     )
 
 
-def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
-    """Make indicator features of (action, displacement), which share information
-    between all states.
+def action_displacement(simulator: FiniteMDP, coordinates: RealArrayLike) -> Array:
+    """Make indicator features of pairs (action, displacement).
+
+    They share information between all states.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    coordinates : (S,) or (S, c): where each state is; the displacement is the
-        difference of the two ends' coordinates
+        The simulator whose transitions get features.
+    coordinates : array-like of shape (S,) or (S, c)
+        Coordinates of each state; a displacement is the difference of the two ends'
+        coordinates.
 
     Returns
     -------
-    (entries, d) : one column per action and displacement; of each action the commonest
-        displacement is the reference
+    ndarray of shape (entries, d)
+        One column for each action and displacement; the commonest displacement of each
+        action is the reference and has none.
 
     Examples
     --------
@@ -296,17 +323,19 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     return np.asarray(kind[:, None] == kept, dtype=np.float64)
 
 
-NAMELESS = "Unnamed: "  # what pandas calls a column without a name
-WHOLE = 2.0**53  # up to which a float is the integer that was written
+# The prefix that pandas gives to columns without a name.
+UNNAMED_PREFIX = "Unnamed: "
+# The number below which a float is exactly the integer that was written.
+EXACT_INTEGER_LIMIT = 2.0**53
 
 
 def features_in(
     frame: Any, simulator: FiniteMDP, source: str
 ) -> tuple[Array, list[str]]:
-    """(entries, d) finite numbers on ``simulator.transitions.data``, their names; 0 for
-    transitions not in the frame.
+    """Return a frame's features on the simulator's transitions, and their names.
 
-    ``source`` is what errors call the frame.
+    The array is (entries, d), 0 for transitions that are not in the frame. ``source``
+    is the frame's name in errors.
     """
     columns, entry = _moves_of(frame, simulator, source)
     values = np.zeros((simulator.transitions.nnz, len(columns)))
@@ -316,7 +345,7 @@ def features_in(
 
 
 def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
-    """(entries,) integer keys; no transition of the simulator may be left out."""
+    """Return a frame's integer keys, (entries,), one for every transition."""
     columns, entry = _moves_of(frame, simulator, source)
     if len(columns) > 1:
         labels = words(column.label for column in columns)
@@ -344,35 +373,33 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
 def _moves_of(
     frame: Any, simulator: FiniteMDP, source: str
 ) -> tuple[list[_Column], IntArray]:
-    """The columns beside the transitions, and the entry of the simulator's transitions
-    that each row is about.
-    """
+    """Return a frame's own columns, and the simulator's entry of each of its rows."""
     table = eager(frame)
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)
     own = [label for label in labels if label not in MOVE]
-    if any(label.startswith(NAMELESS) for label in own):
+    if any(label.startswith(UNNAMED_PREFIX) for label in own):
         raise ArgumentError(
             source,
             f"must have a name for every column; it has {words(labels)} (a written"
             " index?)",
         )
     if not own or len(table) == 0:
-        rule = (
-            "a column of numbers beside its transitions"
-            if len(table)
-            else "at least one row"
-        )
+        rule = "at least one row"
+        if len(table):
+            rule = "a column of numbers beside its transitions"
         raise ArgumentError(source, f"must have {rule}; it has none")
     columns = {label: _Column(label, source, table[label]) for label in labels}
     states = (simulator.state_names, simulator.n_states)
-    sizes = (states, (simulator.action_names, simulator.n_actions), states)
-    s, a, following = (
-        columns[label].numbered(*size) for label, size in zip(MOVE, sizes, strict=True)
-    )
+    actions = (simulator.action_names, simulator.n_actions)
+    state, action, next_state = (columns[label] for label in MOVE)
+    s = state.numbered(*states)
+    a = action.numbered(*actions)
+    following = next_state.numbered(*states)
     entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
 
     def move(row: int) -> str:
+        """Return the name of the transition in a row."""
         return simulator.names.transition(s[row], a[row], following[row])
 
     outside = np.flatnonzero(~stored)
@@ -401,7 +428,7 @@ class _Column(NamedTuple):
     series: Any
 
     def refuse(self, bad: BoolArray, rule: str, values: Any) -> None:
-        """A ValueError where a row is ``bad``."""
+        """Raise an error that names the first bad row, if there is one."""
         if bad.any():
             row = int(np.argmax(bad))
             shown = "none or nan" if values is None else values[row]
@@ -411,7 +438,7 @@ class _Column(NamedTuple):
             )
 
     def finite(self) -> Array:
-        """Finite numbers."""
+        """Return the column as finite numbers."""
         rule = "have a finite number in every row"
         values = np.asarray(self.series.to_numpy())
         self.refuse(self.series.is_null().to_numpy(), rule, None)
@@ -419,36 +446,32 @@ class _Column(NamedTuple):
         if values.dtype.kind not in "biuf":
             import pandas as pd
 
-            numbers = pd.to_numeric(
-                pd.Series(values, dtype=object), errors="coerce"
-            ).to_numpy()
+            series = pd.Series(values, dtype=object)
+            numbers = pd.to_numeric(series, errors="coerce").to_numpy()
         numbers = np.asarray(numbers, dtype=np.float64)
         self.refuse(~np.isfinite(numbers), rule, values)
         return np.asarray(numbers)
 
     def integers(self) -> NDArray[Any]:
-        """Whole numbers, as integers."""
+        """Return the column as integers."""
         values = np.asarray(self.series.to_numpy())
         if values.dtype.kind in "iu":
             return values
         numbers = self.finite()
-        self.refuse(
-            (numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE),
-            "have an integer in every row",
-            numbers,
-        )
+        bad = (numbers != np.rint(numbers)) | (np.abs(numbers) >= EXACT_INTEGER_LIMIT)
+        self.refuse(bad, "have an integer in every row", numbers)
         return numbers.astype(np.int64)
 
     def numbered(self, names: tuple[Name, ...] | None, size: int) -> IntArray:
-        """States or actions: integers in 0..size-1, or the simulator's names where it
-        has some.
+        """Return the numbers of states or actions, in 0..size-1.
+
+        The column has these, or the simulator's names where it has some.
         """
         values = np.asarray(self.series.to_numpy())
         if names is None or values.dtype.kind in "biuf":
             numbers = self.integers()
-            self.refuse(
-                (numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers
-            )
+            outside = (numbers < 0) | (numbers >= size)
+            self.refuse(outside, f"be in 0..{size - 1}", numbers)
             return numbers.astype(np.int64)
         self.refuse(self.series.is_null().to_numpy(), "have a name in every row", None)
         source = f"column {self.label!r} of {self.source}"
@@ -466,5 +489,5 @@ class _Column(NamedTuple):
 
 
 def words(names: Iterable[object]) -> str:
-    """Names in a sentence."""
+    """Return names as a sentence has them, or "none"."""
     return ", ".join(str(name) for name in names) or "none"

@@ -1,9 +1,12 @@
-"""Both ratios at once: beta_sas' and beta_sa under marginal consistency, whose quotient
-has rows that sum to 1.
+"""Both density ratios in one program, under marginal consistency.
 
-    minimise  [sum q B - sum p log B + ridge/2 I(B)^2] + [sum r b - sum s log b + ridge/2 I(b)^2]
-    subject to  lower <= B, b <= upper,   sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
-                ratio_lower b <= B <= ratio_upper b  where the ratio has a box of its own,
+The quotient of beta_sas' and beta_sa then has rows that sum to 1:
+
+    minimise    [sum q B - sum p log B + ridge/2 I(B)^2]
+                + [sum r b - sum s log b + ridge/2 I(b)^2]
+    subject to  lower <= B, b <= upper,
+                sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
+                ratio_lower b <= B <= ratio_upper b,  if the ratio has its own box,
 
 p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r =
 d(s, a) the simulator's, whose data enter through d(s, a) alone. The constraint says
@@ -43,20 +46,34 @@ from oee_tabular.typing import PolicyLike
 
 @dataclass(frozen=True, eq=False)
 class Joint(Method):
-    """Both ratios in one program, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a)
-    beta(s, a): rows of zeta * P sum to 1.
+    """Both density ratios in one program, which makes rows of zeta * P sum to 1.
 
-    The program is the module's. d(s, a) alone is taken from the simulator's data: P is
-    known.
+    The program minimises the KL risks of beta(s, a, s') and beta(s, a), with a ridge,
+    in a box, under marginal consistency: sum_s' d(s, a, s') beta(s, a, s') = d(s, a)
+    beta(s, a). d(s, a) alone is taken from the simulator's data: P is known.
 
     Parameters
     ----------
-    lower, upper : nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none)
-    ratio_lower, ratio_upper : the box ratio_lower <= beta(s, a, s') / beta(s, a) <=
-        ratio_upper; None: none
-    ridge : lambda_n of both, a number or a function of n
-    solver : "dual", or a cvxpy solver
-    data, behavior_policy : as in ``Quotient``
+    lower : float, default 0.01
+        The paper's nu, on each beta. None means 0.
+    upper : float, default 10.0
+        The paper's mu, on each beta. None or ``numpy.inf`` means no bound.
+    ratio_lower : float, optional
+        Lower bound on beta(s, a, s') / beta(s, a). None means 0.
+    ratio_upper : float, optional
+        Upper bound on beta(s, a, s') / beta(s, a). None means no bound.
+    ridge : float or callable, default 0.0
+        The ridge lambda_n of both, a number or a function of n.
+    solver : str, default 'dual'
+        'dual' (exact), or the name of a cvxpy solver.
+    data : Transitions or 'exact', optional
+        Data of the simulator, as in ``Quotient``.
+    behavior_policy : (S, A) policy, optional
+        Behaviour policy of these data, as in ``Quotient``.
+
+    See Also
+    --------
+    Quotient : The two ratios fitted separately.
 
     Notes
     -----
@@ -84,6 +101,7 @@ class Joint(Method):
     USES: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
     def __post_init__(self) -> None:
+        """Check the options."""
         _checks.instance(self.solver, str, "solver")
         self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=True)
@@ -91,6 +109,7 @@ class Joint(Method):
         check_simulator_data(self.data)
 
     def _ratio_box(self) -> Box:
+        """Return the checked bounds on the quotient."""
         return check_box(
             self.ratio_lower,
             self.ratio_upper,
@@ -99,9 +118,11 @@ class Joint(Method):
         )
 
     def _exact(self) -> Joint:
+        """Return this method with the simulator's exact data."""
         return replace(self, data=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
+        """Solve the joint program and take the quotient."""
         counts = given.observed
         rows = given.rows
         box = check_box(self.lower, self.upper, normalized=True)
@@ -110,8 +131,8 @@ class Joint(Method):
         lam = check_ridge(self.ridge, float(counts.sum()))
         p = counts / counts.sum()
         q = rows.spread(share / share.sum()) * rows.weights
-        # r is d(s, a) to the last bit as the constraint has it: neither ratio can run
-        # away alone
+        # r is d(s, a) to the last bit as the constraint has it, so that neither ratio
+        # can diverge alone.
         program = JointProgram(
             p, q, rows.sums(p), rows.sums(q), rows.indptr, *box, *ratio_box, lam
         )
@@ -128,15 +149,13 @@ class Joint(Method):
         else:
             point = statements.solve_joint(program, solver=self.solver)
             # cvxpy's sign of an equality's multiplier is not the same for all programs;
-            # either gives a bound
+            # either sign gives a bound, and the better one is kept.
             signs = (point, point._replace(theta=-point.theta))
-            gap = min(
-                float(_certificate.joint_gaps(program, each).sum()) for each in signs
-            )
+            gaps = [_certificate.joint_gaps(program, each).sum() for each in signs]
+            gap = min(float(each) for each in gaps)
         known = rows.spread((share > 0) & (point.pairs > 0))
-        zeta = np.where(
-            known, point.moves / np.where(known, rows.spread(point.pairs), 1.0), 1.0
-        )
+        below = np.where(known, rows.spread(point.pairs), 1.0)
+        zeta = np.where(known, point.moves / below, 1.0)
         details = {
             "lower": box.lower,
             "upper": box.upper,
@@ -149,20 +168,23 @@ class Joint(Method):
         return given.ratio(zeta, self._name, gap, details)
 
 
-# relative distance at which a bound that moves and one that does not coincide
+# The relative distance at which a bound that moves with b and a fixed one coincide.
 NEAR = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
 def slope_at(x, theta, f, g):
-    """The derivative of the Lagrangian in B_x."""
+    """Compute dL/dB_x = (1 + theta) q_x + lam g - p_x / g at B_x = g."""
     return (1.0 + theta) * f.q[x] + f.lam * g - (f.p[x] / g if f.p[x] > 0.0 else 0.0)
 
 
 @njit(cache=True, error_model="numpy")
 def fill_moves(b, theta, f, k, moves):
-    """B_x(theta, b) of row k into ``moves``; returns the derivative of the Lagrangian's
-    least value in b.
+    """Fill ``moves`` with B_x(theta, b) of row k; return the slope of min L in b.
+
+    B_x minimises (1 + theta) q_x B - p_x log B + lam/2 B^2 within [max(nu, ratio_lower
+    b), min(mu, ratio_upper b)]. The slope is (1 - theta) r - s / b + lam b plus, for
+    each B_x at a bound that moves with b, that bound's factor times dL/dB_x.
     """
     lower = max(f.nu, f.ratio_lower * b)
     upper = min(f.mu, f.ratio_upper * b)
@@ -179,9 +201,15 @@ def fill_moves(b, theta, f, k, moves):
 
 @njit(cache=True, error_model="numpy")
 def minimise(theta, f, k, moves):
-    """B(theta) of row k into ``moves``; returns b(theta) and phi(theta)."""
+    """Fill ``moves`` with B(theta) of row k; return b(theta) and phi(theta).
+
+    phi(theta) = sum_x q_x B_x(theta) - r b(theta). b is the root of the slope of
+    ``fill_moves``, or has a closed form where no bound moves with it.
+    """
     b = coordinate(f.r[k] - theta * f.r[k], f.lam, f.s[k], f.nu, f.mu)
     if f.ratio_lower > 0.0 or f.ratio_upper < np.inf:
+        # The root of an increasing slope: secant steps within a bracket, halved at
+        # every third step, doubled where the bracket has no end yet.
         left = f.nu
         right = f.mu
         at_left = np.nan
@@ -213,10 +241,14 @@ def minimise(theta, f, k, moves):
 
 @njit(cache=True, error_model="numpy")
 def solve(f, k, moves, at_left, at_right):
-    """One (s, a): fills B into ``moves``; returns b and theta."""
+    """Solve one (s, a): fill ``moves`` with B; return b and theta.
+
+    theta is the root of the nonincreasing phi. At a jump the point is the convex
+    combination of the two ends that has phi = 0.
+    """
     b, phi = minimise(0.0, f, k, moves)
     n = f.indptr[k + 1] - f.indptr[k]
-    # equal up to the rounding of the sums themselves
+    # The two sums are equal up to their own rounding.
     if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:
         return b, 0.0
     side = np.sign(phi)
@@ -237,7 +269,7 @@ def solve(f, k, moves, at_left, at_right):
         theta = 0.5 * (left + right)
     b_left, phi_left = minimise(left, f, k, at_left)
     b_right, phi_right = minimise(right, f, k, at_right)
-    # of the right end
+    # The weight of the right end.
     share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0
     if not 0.0 <= share <= 1.0:
         share = 0.0 if phi_left < np.inf else 1.0
@@ -256,15 +288,18 @@ def solve(f, k, moves, at_left, at_right):
 
 @njit(cache=True, error_model="numpy")
 def fill_multipliers(b, theta, f, k, moves, eta, xi):
-    """eta and xi of the bounds on the ratio, for B (``moves``), b and theta.
+    """Fill eta and xi, the multipliers of the ratio's bounds, for B, b and theta.
 
-    Where a moving bound coincides with a fixed one its share of the multiplier is what
-    b's own condition asks for.
+    eta_x = dL/dB_x where B_x is at ratio_lower b, xi_x = -dL/dB_x where it is at
+    ratio_upper b, else 0. Where a moving bound coincides with a fixed one its share of
+    the multiplier is what b's own condition asks for.
     """
     rest = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
     loose = 0.0
     moving_lower = f.ratio_lower * b > f.nu * (1.0 + NEAR)
     moving_upper = f.ratio_upper * b < f.mu * (1.0 - NEAR)
+    # The multipliers of all entries, their sum with moving bounds in ``rest``, and with
+    # bounds that coincide with a fixed one in ``loose``.
     for x in range(f.indptr[k], f.indptr[k + 1]):
         eta[x] = 0.0
         xi[x] = 0.0
@@ -297,7 +332,7 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
 
 @njit(cache=True, error_model="numpy")
 def solve_all(f):
-    """Every (s, a) of the program ``f`` by itself: B, b, theta, eta and xi."""
+    """Solve each (s, a) of the program ``f``; return B, b, theta, eta and xi."""
     n = len(f.p)
     n_rows = len(f.s)
     moves = np.empty(n)

@@ -1,12 +1,13 @@
-"""Methods for zeta from counts: objects with options, ``fit`` to a log, and the
-``limit`` with infinite data.
+"""Methods that estimate zeta: objects with options, a ``fit`` to data and a ``limit``.
+
+``fit`` takes a log or counts; ``limit`` is what a fit converges to as the log grows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, NoReturn, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -23,19 +24,42 @@ from oee_tabular.mdp.policies import split_policies
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
-from oee_tabular.typing import Array, BoolArray, PolicyLike, Seed
+from oee_tabular.typing import Array, BoolArray, Csr, PolicyLike, Seed, SparseLike
 
-SimulatorData = Transitions | str | None
+SimulatorData: TypeAlias = Transitions | Literal["exact"] | None
 
-
-# moves: a limit's stand-in for infinitely many, where a fit is asked for one
-_MANY = 1e12
+# The number of transitions with which a fit stands for the limit of infinitely many.
+_N_TRANSITIONS_OF_LIMIT = 1e12
 
 
 @dataclass(frozen=True, eq=False)
 class RatioInput:
-    """What there is to go by, checked: ``observed`` are the counts on the simulator's
-    entries.
+    """The checked data and settings of a fit.
+
+    Attributes
+    ----------
+    observed : ndarray of shape (entries,)
+        Counts on the entries of the simulator's transitions.
+    simulator : FiniteMDP
+        The simulator.
+    rows : Rows
+        The simulator's rows, one for each state-action pair.
+    log : Transitions or None
+        The log, numbered as the simulator is; None where counts were given.
+    discount : float or None
+        Base of the transitions' weights discount^timestep.
+    policies : tuple of ndarray of shape (S, A)
+        The policies whose values matter.
+    horizon : int or None
+        The horizon of these values.
+    simulator_data : Transitions, 'exact' or None
+        Data of the simulator.
+    behavior_policy : ndarray of shape (S, A) or None
+        The behaviour policy of the simulator's data.
+    seed : Seed
+        The seed of sampling and training.
+    cache : dict
+        Results that fits to the same counts and simulator share.
     """
 
     observed: Array
@@ -52,13 +76,14 @@ class RatioInput:
 
     @property
     def visited(self) -> Rows:
-        """The rows that the log has, the same object for all fits that share a cache."""
+        """Return the recorded rows, one object for all fits that share a cache."""
         rows: Rows = self.get_or_compute(_visited)
         return rows
 
     def get_or_compute(self, make: Callable[..., Any]) -> Any:
-        """``make(given)``, which looks at counts and simulator alone, for all fits that
-        share a cache.
+        """Return ``make(self)``, computed once for all fits that share a cache.
+
+        ``make`` may look at the counts and the simulator alone.
         """
         if make not in self.cache:
             self.cache[make] = make(self)
@@ -72,7 +97,7 @@ class RatioInput:
         details: dict[str, Any],
         influence: Influence | None = None,
     ) -> TransitionRatio:
-        """What a fit returns, from zeta on the simulator's entries."""
+        """Return the result of a fit from zeta on the simulator's entries."""
         matrix = self.simulator.transitions
         rows = self.rows
         counts = rows.sums(self.observed).reshape(
@@ -92,16 +117,31 @@ class RatioInput:
 
 
 def _visited(given: RatioInput) -> Rows:
+    """Return the rows of recorded state-action pairs."""
     return given.rows.select(given.rows.sums(given.observed) > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """A pair and the data that an estimator, or a method of ratios, would have
-    infinitely many of.
+    """Two models and the distribution of the data of an infinitely long log.
 
-    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the
-    caller gives none; ``support`` (S*A,) its support, or all rows.
+    Attributes
+    ----------
+    simulator : FiniteMDP
+        The simulator.
+    target : FiniteMDP
+        The model that the data come from.
+    policy : ndarray of shape (S, A)
+        The policy to be evaluated.
+    distribution : ndarray of shape (S, A)
+        Probability of each state-action pair in the data, uniform where the caller
+        gives none.
+    support : ndarray of shape (S*A,)
+        Whether a pair has data.
+    behavior : ndarray of shape (S, A) or None
+        The behaviour policy of the data.
+    horizon : int or None
+        The horizon of the value.
     """
 
     simulator: FiniteMDP
@@ -112,15 +152,18 @@ class Population:
     behavior: Array | None
     horizon: int | None
 
-    def counts(self) -> sparse.csr_array:
-        """Expected counts of very many transitions, csr (S*A, S)."""
+    def counts(self) -> Csr:
+        """Return the expected counts of very many transitions, csr (S*A, S)."""
         matrix = self.target.transitions
-        weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
+        weight = (_N_TRANSITIONS_OF_LIMIT * self.distribution.reshape(-1))[
+            row_of_entry(matrix)
+        ]
         return csr_on_pattern(matrix, weight * matrix.data)
 
-    def model(self, fallback: sparse.csr_array) -> FiniteMDP:
-        """The target's rows where the data have them, ``fallback``'s elsewhere, with
-        the simulator's rewards.
+    def model(self, fallback: Csr) -> FiniteMDP:
+        """Return the target's rows where there are data, ``fallback``'s elsewhere.
+
+        The rewards are the simulator's.
         """
         keep, rest = (
             sparse.diags_array(mask.astype(np.float64), format="csr")
@@ -130,13 +173,15 @@ class Population:
         return self.simulator.with_transitions(rows)
 
     def value(self, model: Model) -> float:
-        """J of the policy in ``model``."""
+        """Return the policy's value J in ``model``."""
         return policy_value(model, self.policy, horizon=self.horizon)
 
 
 class Method:
-    """A method for zeta from counts. Subclasses are frozen dataclasses whose fields are
-    the options; they define ``_fit``.
+    """A method that estimates zeta from a log or from counts.
+
+    Subclasses are frozen dataclasses whose fields are the options; they define
+    ``_fit``.
 
     Examples
     --------
@@ -148,35 +193,48 @@ class Method:
     ['conditional', 'ratio_of_ratios', 'joint']
     """
 
-    # of values_of, horizon, simulator_data and behavior_policy
+    # Which of values_of, horizon, simulator_data and behavior_policy ``fit`` may use.
     USES: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def uses(self) -> frozenset[str]:
-        """Which of ``USES`` matter with these options."""
+        """Return the inputs of ``fit`` that matter with these options."""
         return self.USES
 
     @property
     def _name(self) -> str:
-        """As errors and results call it."""
+        """Return the method's name in errors and results."""
         return type(self).__name__.lower()
 
-    def refuse_unused(self, **inputs: Any) -> None:
-        """ValueError that names an input that is given and that ``fit`` would not look
-        at.
+    def refuse_unused(self, **inputs: object) -> None:
+        """Raise an error for an input that is given and that ``fit`` would not use.
+
+        Parameters
+        ----------
+        **inputs : object
+            ``values_of``, ``horizon``, ``simulator_data`` and ``behavior_policy`` of
+            ``fit``; None means that one is not given.
+
+        Raises
+        ------
+        ValueError
+            If one is given that the method does not use; it is named.
         """
         for name, value in inputs.items():
             if value is not None and name not in self.uses:
-                raise ValueError(
-                    f"{name} {self._refusal(name)}; got {_checks.show(value)}"
+                raise ArgumentError(
+                    name, f"{self._refusal(name)}; got {_checks.show(value)}"
                 )
 
     def _refusal(self, name: str) -> str:
-        """The rule that an input without a use breaks."""
+        """Return the rule that an unused input breaks."""
         return f"must not be given with method {self._name!r}, which does not use it"
 
     def _refuse_words(self, ridge: object) -> None:
-        """A ridge chosen on the data is the conditional program's alone."""
+        """Raise an error for a ridge that is to be chosen on the data.
+
+        Only the conditional program can choose it.
+        """
         if isinstance(ridge, str):
             raise ArgumentError(
                 "ridge",
@@ -187,22 +245,60 @@ class Method:
     @one_thread
     def fit(
         self,
-        log_or_counts: Transitions | sparse.csr_array,
+        log_or_counts: Transitions | SparseLike,
         simulator: FiniteMDP,
         *,
         discount: float | None = None,
-        values_of: object = None,
+        values_of: PolicyLike | None = None,
         horizon: int | None = None,
         simulator_data: SimulatorData = None,
         behavior_policy: PolicyLike | None = None,
         seed: Seed = None,
         cache: dict[Any, Any] | None = None,
     ) -> TransitionRatio:
-        """zeta from a log of the target, or from counts, csr (S*A, S).
+        """Estimate zeta from a log of the target or from its counts.
 
-        The rest as in ``transition_ratio``; and ``cache``, a dict for fits to one log
-        and simulator: what does not depend on the rest is computed once. What the
-        method has no use for is not looked at.
+        Parameters
+        ----------
+        log_or_counts : Transitions or sparse array of shape (S*A, S)
+            A log of the target, or the counts of its transitions, row s*A + a and
+            column s'.
+        simulator : FiniteMDP
+            The model whose transition probabilities stand in the denominator.
+        discount : float, optional
+            Weight of each transition by discount^timestep. None weights all by 1.
+        values_of : (S, A) policy, or list of policies, optional
+            The policies whose values matter.
+        horizon : int, optional
+            Number of rewards in these values; None means the infinite discounted sum.
+        simulator_data : Transitions, 'exact' or None, optional
+            Data of the simulator, as in ``transition_ratio``.
+        behavior_policy : (S, A) policy, optional
+            Behaviour policy of the simulator's data, instead of the estimated one.
+        seed : int, Generator or None, optional
+            Seed of the simulator's data, if they are sampled, and of training.
+        cache : dict, optional
+            A dict for fits to the same log and simulator: what does not depend on the
+            other arguments is computed once.
+
+        Returns
+        -------
+        TransitionRatio
+            The ratio on the simulator's transitions, with its certificate.
+
+        Raises
+        ------
+        ValueError
+            If a transition has simulator probability 0, if there are no transitions,
+            or if the options make a program that double precision does not hold.
+
+        See Also
+        --------
+        transition_ratio : The function that also refuses inputs without a use.
+
+        Notes
+        -----
+        Inputs that the method does not use are ignored.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
         log = None
@@ -232,45 +328,66 @@ class Method:
             raise ArgumentError(
                 "log_or_counts", "must have at least one transition; it has none"
             )
+        policies: tuple[Array, ...] = ()
+        if values_of is not None:
+            policies = _policies(values_of, simulator)
+        if horizon is not None:
+            horizon = horizon_length(horizon, simulator)
+        behavior = None
+        if behavior_policy is not None:
+            behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
         given = RatioInput(
-            observed,
-            simulator,
-            cache[Rows],
-            log,
-            discount,
-            () if values_of is None else _policies(values_of, simulator),
-            None if horizon is None else horizon_length(horizon, simulator),
-            simulator_data,
-            (
-                None
-                if behavior_policy is None
-                else check_policy(behavior_policy, simulator, name="behavior_policy")
-            ),
-            seed,
-            cache,
+            observed=observed,
+            simulator=simulator,
+            rows=cache[Rows],
+            log=log,
+            discount=discount,
+            policies=policies,
+            horizon=horizon,
+            simulator_data=simulator_data,
+            behavior_policy=behavior,
+            seed=seed,
+            cache=cache,
         )
         result = self._fit(given)
         if not result.finite:
-            options = {
-                option.name: getattr(self, option.name)
-                for option in fields(self)  # type: ignore[arg-type]
-            }
-            numbers = [
-                f"{name} {x:g}"
-                for name, x in options.items()
-                if isinstance(x, int | float)
-            ]
-            functions = [name for name, x in options.items() if callable(x)]
-            raise ValueError(
-                f"the options of method {self._name!r} must make a program that double"
-                f" precision holds; they are {', '.join(numbers + functions)}"
-            )
+            self._refuse_options()
         return result
 
-    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """zeta as the number of transitions grows, recorded as ``population`` says;
-        training is no part of it.
+    def _refuse_options(self) -> NoReturn:
+        """Raise an error that names the options that are numbers or functions."""
+        options = {
+            option.name: getattr(self, option.name)
+            for option in fields(self)  # type: ignore[arg-type]
+        }
+        numbers = [
+            f"{name} {x:g}" for name, x in options.items() if isinstance(x, int | float)
+        ]
+        functions = [name for name, x in options.items() if callable(x)]
+        raise ValueError(
+            f"the options of method {self._name!r} must make a program that double"
+            f" precision holds; they are {', '.join(numbers + functions)}"
+        )
+
+    def limit(self, population: Population) -> TransitionRatio | Csr:
+        """Return what the fit converges to as the number of transitions grows.
+
+        Training and sampling of the simulator's data are no part of the limit.
+
+        Parameters
+        ----------
+        population : Population
+            The two models and the distribution of the data.
+
+        Returns
+        -------
+        TransitionRatio or sparse array of shape (S*A, S)
+            The limit of zeta.
         """
+        return self._fit_limit(population)
+
+    def _fit_limit(self, population: Population) -> TransitionRatio:
+        """Fit the program with exact data to very many expected transitions."""
         return self._exact().fit(
             population.counts(),
             population.simulator,
@@ -281,25 +398,22 @@ class Method:
         )
 
     def _exact(self) -> Method:
-        """The same program with exact data of the simulator and without training."""
+        """Return this method with the simulator's exact data and without training."""
         return self
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
+        """Fit zeta to checked data."""
         raise NotImplementedError
 
 
-def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
-    """The policy or policies given, checked."""
-    several = (
-        split_policies(values_of, simulator)
-        if isinstance(values_of, list | tuple)
-        else None
-    )
-    named = (
-        {f"values_of[{k}]": each for k, each in enumerate(several.values())}
-        if several
-        else {"values_of": values_of}
-    )
+def _policies(values_of: PolicyLike, simulator: FiniteMDP) -> tuple[Array, ...]:
+    """Return the given policy or policies, checked, each of shape (S, A)."""
+    several = None
+    if isinstance(values_of, list | tuple):
+        several = split_policies(values_of, simulator)
+    named: dict[str, Any] = {"values_of": values_of}
+    if several:
+        named = {f"values_of[{k}]": each for k, each in enumerate(several.values())}
     return tuple(
         check_policy(policy, simulator, name=name) for name, policy in named.items()
     )

@@ -1,18 +1,17 @@
-"""The paper's class of functions: g is a multilayer perceptron, trained on eq. 3.7 by
-Algorithm 1.
+"""The paper's class of functions: a multilayer perceptron trained by Algorithm 1.
 
-What a user states of it, what its training is given, and the gap to the optimum over
-all functions (or all rows) of what comes back: cell by cell, within a box
-(``Quotient``), or row by row with q = P
-known, each row's sum q g = 1 (``Conditional``). Training needs the extra ``neural``
+This module has its settings, prepares what its training (on eq. 3.7) is given, and
+computes the gap of the trained ratio to the optimum over all functions, or all rows. A
+network is trained cell by cell, within a box (``Quotient``), or row by row with q = P
+known and each row's sum q g = 1 (``Conditional``). Training needs the extra ``neural``
 (jax, equinox, optax).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -24,50 +23,66 @@ from oee_tabular.ratio import dual
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import Coordinates, check_box, check_ridge
 from oee_tabular.ratio.sgd import SgdTrace
-from oee_tabular.typing import Array, BoolArray, IntArray, Seed
+from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike, Seed
 
-ACTIVATIONS = ("relu", "tanh", "gelu", "silu", "softplus")
-OPTIMIZERS = ("adam", "sgd")
+Activation: TypeAlias = Literal["relu", "tanh", "gelu", "silu", "softplus"]
+Optimizer: TypeAlias = Literal["adam", "sgd"]
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A multilayer perceptron f_theta(s, a[, s']) for a ratio, and its training by
-    Algorithm 1.
+    """A multilayer perceptron for a ratio, with its training by Algorithm 1.
 
-        ``Quotient``:     log g = log nu + (log mu - log nu) sigmoid(f_theta + c),   within the box,
-        ``Conditional``:  log zeta = f_theta - log sum_s' P exp f_theta,             each row of zeta P sums to 1;
+    With f_theta(s, a[, s']) the perceptron's output
+
+        ``Quotient``:     log g = log nu + (log mu - log nu) sigmoid(f_theta + c),
+                          within the box,
+        ``Conditional``:  log zeta = f_theta - log sum_s' P exp f_theta,
+                          each row of zeta P sums to 1;
 
     g = 1 where f = 0, as it is at the start, and
 
-        theta <- theta - step d/d theta [mean of g over N draws of q - mean of log g over N draws of p],
+        theta <- theta - step d/d theta [mean of g over N draws of q
+                                         - mean of log g over N draws of p],
 
     where ``Conditional`` replaces the draws of q by the known rows of N transitions:
     the log's mean -log zeta.
 
     Parameters
     ----------
-    layers : widths of the hidden layers; () is a linear f
-    activation : "relu" | "tanh" | "gelu" | "silu" | "softplus"
-    inputs : "one_hot": of s, a and s'; or (S,) or (S, c) coordinates of the states
-        (standardised), actions one-hot
-    step_size : of the first iteration; it falls to 0 along a quarter of a cosine
-    batch_size : draws of each side an iteration (N); None: the whole log at each, full
-        batch
-    n_iterations : at most
-    held_out : the share of each log's transitions kept out of batches, to choose the
-        parameters of least risk. 0: the last
-    patience : training stops after so many checks of the held-out risk, one every 100
-        iterations, without a new least one
-    optimizer : "adam", or "sgd" as Algorithm 1 is printed (which hardly trains rare
-        cells)
+    layers : sequence of int, default (64, 64)
+        Widths of the hidden layers; () is a linear f.
+    activation : {'relu', 'tanh', 'gelu', 'silu', 'softplus'}, default 'relu'
+        Activation of the hidden layers.
+    inputs : 'one_hot' or array-like of shape (S,) or (S, c), default 'one_hot'
+        One-hot vectors of s, a and s'; or coordinates of the states (standardised),
+        with one-hot actions.
+    step_size : float, default 0.001
+        Step size of the first iteration; it falls to 0 along a quarter of a cosine.
+    batch_size : int or None, default 128
+        Number N of draws from each side at an iteration. None means full batch, the
+        whole log at each.
+    n_iterations : int, default 20000
+        Largest number of iterations.
+    held_out : float, default 0.1
+        Share of each log's transitions kept out of batches, to choose the parameters of
+        least risk. 0 means that the last parameters are kept.
+    patience : int, default 20
+        Number of checks of the held-out risk, one every 100 iterations, without a new
+        least one, after which training stops.
+    optimizer : {'adam', 'sgd'}, default 'adam'
+        'sgd' is Algorithm 1 as it is printed (which hardly trains rare cells).
 
     Raises
     ------
     ImportError
-        Without the extra; in a clone: pip install '.[neural]'.
+        If the extra is not installed; in a clone: pip install '.[neural]'.
     RuntimeError
-        A training that diverges, with its iteration and its risk.
+        If training diverges; the error has the iteration and the risk.
+
+    See Also
+    --------
+    Sgd : Algorithm 1 on tables.
 
     Notes
     -----
@@ -85,36 +100,33 @@ class Network:
             patience=20, optimizer='adam')
     """
 
-    layers: tuple[int, ...] = (64, 64)
-    activation: str = "relu"
-    inputs: Any = field(default="one_hot", repr=False)
+    layers: Sequence[int] = (64, 64)
+    activation: Activation = "relu"
+    inputs: Literal["one_hot"] | RealArrayLike = field(default="one_hot", repr=False)
     step_size: float = 1e-3
     batch_size: int | None = 128
     n_iterations: int = 20_000
     held_out: float = 0.1
     patience: int = 20
-    optimizer: str = "adam"
+    optimizer: Optimizer = "adam"
 
     def __post_init__(self) -> None:
+        """Check the settings."""
         widths = _checks.collection(
             self.layers, "layers", "a collection of widths of hidden layers"
         )
-        object.__setattr__(
-            self,
-            "layers",
-            tuple(
-                _checks.positive_integer(w, f"layers[{k}]")
-                for k, w in enumerate(widths)
-            ),
+        layers = tuple(
+            _checks.positive_integer(width, f"layers[{k}]")
+            for k, width in enumerate(widths)
         )
-        _checks.one_of(self.activation, "activation", ACTIVATIONS)
-        _checks.one_of(self.optimizer, "optimizer", OPTIMIZERS)
+        object.__setattr__(self, "layers", layers)
+        _checks.one_of(self.activation, "activation", get_args(Activation))
+        _checks.one_of(self.optimizer, "optimizer", get_args(Optimizer))
         if isinstance(self.inputs, str):
             _checks.one_of(self.inputs, "inputs", ("one_hot",))
         else:
-            _checks.require_finite(
-                _checks.float_array(self.inputs, "inputs", ndim=(1, 2)), "inputs"
-            )
+            places = _checks.float_array(self.inputs, "inputs", ndim=(1, 2))
+            _checks.require_finite(places, "inputs")
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
         if self.batch_size is not None:
             _checks.positive_integer(self.batch_size, "batch_size")
@@ -127,9 +139,7 @@ class Network:
 
 
 def check_network(method: Any) -> None:
-    """What no method can have with a network: a ValueError, at the making of the
-    method.
-    """
+    """Raise an error for an option that no method can have beside a network."""
     _checks.instance(method.functions, Network, "functions", "Network(...)")
     if method.solver != "dual":
         raise ArgumentError(
@@ -140,7 +150,7 @@ def check_network(method: Any) -> None:
 
 
 def check_boxed_network(method: Any) -> None:
-    """Nor eq. 3.7 without rows."""
+    """Raise an error for an option that eq. 3.7 cannot have with a network in a box."""
     check_network(method)
     if method.normalized:
         raise ArgumentError(
@@ -175,11 +185,11 @@ def fit_network(
     toward: float | None,
     seed: Seed,
 ) -> RatioFit:
-    """p / q on the cells by a network: counts (or probabilities) p, q and the columns
-    of the cells.
+    """Fit p / q on the cells by a network.
 
-    ``trace`` has excess and error against the optimum over all functions in the box;
-    ``details`` the iteration kept and the held-out risk at each check.
+    p and q are counts or probabilities; ``cells`` the columns of the cells. ``trace``
+    has excess and error against the optimum over all functions in the box; ``details``
+    the iteration kept and the held-out risk at each check.
     """
     neural = _require_neural()
     generator = _checks.generator(seed)
@@ -214,7 +224,8 @@ def fit_network(
         ratio=_checks.freeze(g),
         enclosure=(np.full(len(p), lower), np.full(len(p), upper)),
         objective=value,
-        gap=max(value - best.dual_bound, 0.0),  # but for rounding
+        # Rounding may make the difference negative.
+        gap=max(value - best.dual_bound, 0.0),
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),
         status=f"trained for {trained.iteration[-1]} iterations",
         trace=_trace(trained, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
@@ -225,8 +236,9 @@ def fit_network(
 def fit_rows(
     network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Seed
 ) -> tuple[Array, float, dict[str, Any]]:
-    """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with
-    its share of the counts.
+    """Fit zeta by a network, each row of zeta P summing to 1.
+
+    The program is that of all rows, each with its share of the counts.
 
     Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2],
     p = counts / n_sa. Returns zeta on the simulator's entries, its risk above the
@@ -239,7 +251,9 @@ def fit_rows(
     p = counts / counts.sum()
     share = rows.spread(rows.sums(counts / counts.sum()))
     q_train = rows.spread(rows.sums(p_train)) * rows.weights
-    q_held = None if p_held is None else rows.spread(rows.sums(p_held)) * rows.weights
+    q_held = None
+    if p_held is not None:
+        q_held = rows.spread(rows.sums(p_held)) * rows.weights
     sizes = (rows.n_states, rows.n_actions)
     places = _places(network, rows.n_states)
     training = neural.Training(
@@ -263,24 +277,20 @@ def fit_rows(
     )
     least = dual.objective(best.ratio, weighted)
     excess = dual.objective(trained.ratio, weighted) - least
+    risks = [dual.objective(each, weighted) for each in trained.checked]
     details = {
-        "trace": _trace(
-            trained,
-            [dual.objective(each, weighted) for each in trained.checked],
-            least,
-            best.ratio,
-            share > 0,
-        ),
+        "trace": _trace(trained, risks, least, best.ratio, share > 0),
         "iterations": int(trained.iteration[-1]),
         "kept": trained.kept,
         "held_out_risk": trained.held_out,
     }
-    # but for rounding
-    return trained.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details
+    # Rounding may make the gap negative.
+    gap = max(excess + float(rows.sums(p) @ best.gap), 0.0)
+    return trained.ratio, gap, details
 
 
 def _require_neural() -> Any:
-    """``_neural``: an ImportError in one sentence without the extra."""
+    """Import the module that trains, or raise an ImportError in one sentence."""
     try:
         from oee_tabular.ratio import _neural
     except ImportError:
@@ -294,37 +304,39 @@ def _require_neural() -> Any:
 def _trace(
     trained: Any, risks: list[float], least: float, ratio: Array, known: BoolArray
 ) -> SgdTrace:
-    """Excess risk and error of each check against the optimum, ``least`` at ``ratio``;
-    the error where something is known.
+    """Return the excess risk and the error of each check against the optimum.
+
+    The optimum is ``least``, at ``ratio``; the error is the mean over ``known`` cells.
     """
     errors = [np.abs(each - ratio)[known].mean() for each in trained.checked]
     return SgdTrace(trained.iteration, np.array(risks) - least, np.array(errors))
 
 
 def _places(network: Network, n_states: int) -> Array | None:
-    """(S, c) coordinates, each of mean 0 and standard deviation 1 (0 where it is
-    constant); None: one-hot.
+    """Return standardised coordinates, (S, c), or None for one-hot states.
+
+    A constant coordinate is 0.
     """
     if isinstance(network.inputs, str):
         return None
     places = check_layout(network.inputs, n_states, "inputs")
-    spread = places.std(axis=0)
-    return np.asarray(
-        (places - places.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
-    )
+    deviation = places.std(axis=0)
+    unit = np.where(deviation > 0, deviation, 1.0)
+    return np.asarray((places - places.mean(axis=0)) / unit)
 
 
 def _split(
     weights: Array, name: str, held_out: float, generator: np.random.Generator
 ) -> tuple[Array, Array | None]:
-    """Shares to train on and to stop on. Probabilities (q of an exact simulator) are
-    both, whole.
+    """Return the shares to train on and to stop on, each summing to 1.
+
+    Probabilities (q of an exact simulator) are used whole for both.
     """
     if held_out == 0.0:
         return weights / weights.sum(), None
     if (weights != np.round(weights)).any():
         if name == "q":
-            return (weights / weights.sum(),) * 2
+            return weights / weights.sum(), weights / weights.sum()
         raise ArgumentError(
             "held_out",
             "must be 0 if the log's transitions are weighted (discount) or are"

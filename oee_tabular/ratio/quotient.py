@@ -1,6 +1,4 @@
-"""Eq. 4.4: zeta as the quotient of two density ratios, (s, a, s') over (s, a), each by
-eq. 3.7.
-"""
+"""The paper's ratio: a quotient of two density ratios (eq. 4.4), each by eq. 3.7."""
 
 from __future__ import annotations
 
@@ -25,36 +23,52 @@ from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.simulate.sampler import episodes_holding
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
-# the paper's episodes, where the log does not say how long its own were
-_LONGEST_EPISODE = 1000
+# The number of steps of the paper's episodes, for logs that do not say how long theirs
+# were.
+_DEFAULT_EPISODE_STEPS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Quotient(Method):
-    """The paper's zeta: two density ratios, target to simulator, fitted separately, and
-    their quotient (eq. 4.4).
+    """The paper's ratio: two density ratios, fitted separately, and their quotient.
 
-        zeta(s, a, s') = beta(s, a, s') / beta(s, a),   each beta = d_te / d_tr by eq. 3.7 (``density_ratio``).
+        zeta(s, a, s') = beta(s, a, s') / beta(s, a)     (eq. 4.4),
 
-    The rows of zeta * P need not sum to 1; ``row_sum_error`` is the largest difference.
+    each beta = d_te / d_tr by eq. 3.7 (``density_ratio``). The rows of zeta * P need
+    not sum to 1; ``row_sum_error`` is the largest difference.
 
     Parameters
     ----------
-    lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for
-        none), so that zeta lies in [lower/upper, upper/lower]
-    ridge, toward : lambda_n and its centre, as in ``density_ratio``; toward None is the
-        paper's I(g)^2 = sum g^2
-    normalized : whether sum beta q = 1 is imposed on each: True (default), or False as
-        in the paper
-    solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn;
-        needs normalized=False
-    data : a log of the simulator; None: one of the target log's size is sampled under
-        its estimated behaviour policy, with the seed of ``fit``; "exact": the
-        simulator's exact occupancy under that policy
-    behavior_policy : (S, A), instead of the estimated one
-    functions : None (tables: one number a cell), or ``Network(layers, ...)``: each beta
-        is a network, trained by Algorithm 1 with the network's own settings; needs
-        normalized=False, and solver left out
+    lower : float, default 0.01
+        The paper's nu, on each beta, so that zeta is at least lower/upper. None means
+        0.
+    upper : float, default 10.0
+        The paper's mu, on each beta, so that zeta is at most upper/lower. None or
+        ``numpy.inf`` means no bound.
+    ridge : float or callable, default 0.0
+        The ridge lambda_n, as in ``density_ratio``.
+    toward : float or None, default 1.0
+        The number that the ridge pulls each beta to, as in ``density_ratio``. None
+        means the paper's I(g)^2 = sum g^2.
+    normalized : bool, default True
+        Whether sum beta q = 1 is imposed on each; False as in the paper.
+    solver : str or Sgd, default 'dual'
+        'dual' (exact), the name of a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both
+        tables in turn, which needs normalized=False.
+    data : Transitions or 'exact', optional
+        Data of the simulator. None samples a log of the target log's size under its
+        estimated behaviour policy, with the seed of ``fit``; 'exact' is the simulator's
+        exact occupancy under that policy.
+    behavior_policy : (S, A) policy, optional
+        Behaviour policy of the simulator's data, instead of the estimated one.
+    functions : Network, optional
+        The class of functions. None means tables: one number a cell.
+        ``Network(layers, ...)``: each beta is a network, trained by Algorithm 1 with
+        the network's own settings; it needs normalized=False, and solver left out.
+
+    See Also
+    --------
+    Joint : Both ratios in one program, whose rows sum to 1.
 
     Notes
     -----
@@ -75,7 +89,7 @@ class Quotient(Method):
 
     lower: float | None = 0.01
     upper: float | None = 10.0
-    ridge: float | Callable[[Any], Any] = 0.0
+    ridge: float | Callable[[float], float] = 0.0
     toward: float | None = 1.0
     normalized: bool = True
     solver: str | Sgd = "dual"
@@ -87,9 +101,11 @@ class Quotient(Method):
 
     @property
     def _name(self) -> str:
+        """Return the method's name in errors and results."""
         return "ratio_of_ratios"
 
     def __post_init__(self) -> None:
+        """Check the options."""
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
             raise ArgumentError(
@@ -102,37 +118,37 @@ class Quotient(Method):
             check_boxed_network(self)
 
     def _exact(self) -> Quotient:
+        """Return this method with the simulator's exact data and without training."""
         solver = "dual" if isinstance(self.solver, Sgd) else self.solver
         return replace(self, solver=solver, data=None, functions=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        # one stream: the simulator's data, then the training
+        """Fit both density ratios and take their quotient."""
+        # One stream of random numbers: the simulator's data, then the training.
         given = replace(given, seed=_checks.generator(given.seed))
         observed = given.observed
         rows = given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
-        moves = self._beta(
-            observed, expected, (rows.spread(rows.number), rows.arrival), given
-        )
-        pairs = self._beta(
-            rows.sums(observed), rows.sums(expected), (rows.number,), given
-        )
+        cells_of_moves = (rows.spread(rows.number), rows.arrival)
+        moves = self._beta(observed, expected, cells_of_moves, given)
+        observed_pairs = rows.sums(observed)
+        expected_pairs = rows.sums(expected)
+        pairs = self._beta(observed_pairs, expected_pairs, (rows.number,), given)
         below = rows.spread(pairs.ratio)
         undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
-        if self.functions is not None:  # a network has a value everywhere
+        if self.functions is not None:
+            # A network has a value everywhere.
             undetermined[:] = False
-        zeta = np.where(
-            undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0)
-        )
+        quotient = moves.ratio / np.where(below > 0, below, 1.0)
+        zeta = np.where(undetermined, 1.0, quotient)
         lowest = self.lower or 0.0
         highest = np.inf if self.upper is None else self.upper
+        at_the_box = (moves.ratio <= lowest) | (moves.ratio >= highest)
         details = {
             "lower": self.lower,
             "upper": self.upper,
             "undetermined_moves": int(undetermined.sum()),
-            "share_at_the_box": float(
-                np.mean((moves.ratio <= lowest) | (moves.ratio >= highest))
-            ),
+            "share_at_the_box": float(np.mean(at_the_box)),
             "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
             "divergence_moves": moves.divergence,
             "divergence_pairs": pairs.divergence,
@@ -144,7 +160,7 @@ class Quotient(Method):
     def _beta(
         self, p: Array, q: Array, cells: tuple[IntArray, ...], given: RatioInput
     ) -> RatioFit:
-        """Eq. 3.7 on the cells, whose columns are the row and, for moves, s'."""
+        """Solve eq. 3.7 on cells whose columns are the row and, of transitions, s'."""
         options: dict[str, Any] = {
             "lower": self.lower,
             "upper": self.upper,
@@ -158,23 +174,14 @@ class Quotient(Method):
             )
         n_actions = given.simulator.n_actions
         columns = (*np.divmod(cells[0], n_actions), *cells[1:])
-        return fit_network(
-            self.functions,
-            p,
-            q,
-            columns,
-            (given.simulator.n_states, n_actions),
-            **options,
-        )
+        sizes = (given.simulator.n_states, n_actions)
+        return fit_network(self.functions, p, q, columns, sizes, **options)
 
 
 def check_simulator_data(value: object) -> None:
-    """Transitions, "exact" or None."""
-    if not (
-        value is None
-        or isinstance(value, Transitions)
-        or (isinstance(value, str) and value == "exact")
-    ):
+    """Raise an error unless the value is Transitions, "exact" or None."""
+    is_word = isinstance(value, str) and value == "exact"
+    if value is not None and not isinstance(value, Transitions) and not is_word:
         raise ArgumentError(
             "simulator_data",
             f"must be Transitions, 'exact' or None; got {_checks.show(value)}",
@@ -184,11 +191,11 @@ def check_simulator_data(value: object) -> None:
 def simulator_weights(
     given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None
 ) -> Array:
-    """Counts or probabilities of the simulator's transitions, on its entries; weighted
-    by discount^t where one is given.
+    """Return counts or probabilities of the simulator's transitions, on its entries.
 
-    ``data`` and ``behavior_policy`` are a method's own; without them those that are
-    given, without these the estimates.
+    They are weighted by discount^t where a discount is given. ``data`` and
+    ``behavior_policy`` are a method's own; without them the inputs of ``fit`` are used,
+    and without these the estimates.
     """
     observed = given.observed
     simulator = given.simulator
@@ -206,8 +213,8 @@ def simulator_weights(
     elif given.behavior_policy is not None:
         behavior = given.behavior_policy
     else:
-        # the share of each action in the counts of its state; uniform in states without
-        # counts
+        # The share of each action in the counts of its state; uniform in states without
+        # counts.
         pairs = given.rows.sums(observed).reshape(
             simulator.n_states, simulator.n_actions
         )
@@ -216,13 +223,15 @@ def simulator_weights(
             total > 0, pairs / np.maximum(total, 1e-300), 1.0 / simulator.n_actions
         )
     timestep = None if given.log is None else given.log.timestep
-    steps = _LONGEST_EPISODE if timestep is None else int(timestep.max()) + 1
+    steps = _DEFAULT_EPISODE_STEPS if timestep is None else int(timestep.max()) + 1
     if simulator_data is not None:
         weighted = simulator.with_discount(1.0 if discount is None else discount)
         share = occupancy(weighted, behavior, horizon=steps, of="transition")
-        over = given.rows.spread(simulator.absorbing()[given.rows.state])
-        # logs stop where an episode is over
-        return np.where(over, 0.0, share.data) if not over.all() else share.data
+        terminal = given.rows.spread(simulator.absorbing()[given.rows.state])
+        if terminal.all():
+            return share.data
+        # Logs stop in terminal states.
+        return np.where(terminal, 0.0, share.data)
     n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
     generator = _checks.generator(given.seed)
     drawn = episodes_holding(simulator, behavior, n, steps, seed=generator).draw(

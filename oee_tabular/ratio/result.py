@@ -1,6 +1,4 @@
-"""The result of a fit of zeta: the ratio, its certificate, and the influence of
-sampling noise on values.
-"""
+"""Fitted ratios zeta: values, certificate, standard error and one-step correction."""
 
 from __future__ import annotations
 
@@ -9,8 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
@@ -27,26 +23,33 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.prior.ridge import Tilt
-from oee_tabular.typing import Array, BoolArray
+from oee_tabular.typing import Array, BoolArray, Csr, RealArrayLike
 
 
 @dataclass(frozen=True, eq=False)
 class TransitionRatio:
-    """zeta on the simulator's support, with its certificate and diagnostics.
+    """Fitted zeta on the simulator's support, with its certificate and diagnostics.
 
     Attributes
     ----------
-    values : csr of shape (S*A, S) with the entries of ``simulator.transitions``
-    method : the method's name
-    gap : the largest duality gap of the programs solved (nats, each program scaled to
-        probabilities)
-    visited : (S, A), whether the pair was recorded; elsewhere zeta is the prior's (1,
-        or the tilt's)
-    row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
-    counts : (S, A) transitions of the log in each pair
-    details : the method's own diagnostics
-    tied : whether transitions of one key share one value, so that unrecorded pairs are
-        not the prior's
+    values : sparse array of shape (S*A, S)
+        zeta on the entries of ``simulator.transitions``, row s*A + a and column s'.
+    method : str
+        The method's name.
+    gap : float
+        The largest duality gap of the programs solved, in nats, each program scaled to
+        probabilities.
+    visited : ndarray of bool of shape (S, A)
+        Whether the pair was recorded; elsewhere zeta is the prior's (1, or the tilt's).
+    row_sum_error : float
+        The largest absolute difference of sum_s' zeta P from 1 over (s, a).
+    counts : ndarray of shape (S, A)
+        Number of transitions of the log in each pair.
+    details : dict
+        The method's own diagnostics.
+    tied : bool
+        Whether transitions of one key share one value, so that unrecorded pairs are not
+        the prior's.
 
     Examples
     --------
@@ -59,7 +62,7 @@ class TransitionRatio:
     FiniteMDP(2 states, 1 actions, 4 transitions, rewards r(s, a), discount 0.5)
     """
 
-    values: sparse.csr_array
+    values: Csr
     method: str
     gap: float
     visited: BoolArray
@@ -70,6 +73,7 @@ class TransitionRatio:
     _influence: Influence | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
+        """Return one line about the ratio."""
         data = self.values.data
         return (
             f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g}"
@@ -79,6 +83,7 @@ class TransitionRatio:
         )
 
     def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
         data = self.values.data
         rows = [
             ("method", self.method),
@@ -92,8 +97,22 @@ class TransitionRatio:
         )
 
     def on(self, simulator: FiniteMDP) -> Array:
-        """The values on the entries of ``simulator.transitions``; ValueError where they
-        are another simulator's.
+        """Return the values on the entries of ``simulator.transitions``.
+
+        Parameters
+        ----------
+        simulator : FiniteMDP
+            The simulator that the ratio was fitted for.
+
+        Returns
+        -------
+        ndarray of shape (entries,)
+            The ratio of each entry.
+
+        Raises
+        ------
+        ValueError
+            If the ratio is another simulator's.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
@@ -117,10 +136,29 @@ class TransitionRatio:
     def target_model(
         self, simulator: FiniteMDP, *, normalize: bool = False
     ) -> FiniteMDP:
-        """zeta * P as a FiniteMDP.
+        """Return zeta * P as a model of the target.
 
-        Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless
-        ``normalize`` divides them.
+        Parameters
+        ----------
+        simulator : FiniteMDP
+            The simulator that the ratio was fitted for.
+        normalize : bool, default False
+            Whether each row is divided by its sum.
+
+        Returns
+        -------
+        FiniteMDP
+            The simulator with the transitions zeta * P.
+
+        Raises
+        ------
+        ValueError
+            If rows of zeta * P do not sum to 1 (the paper's quotient) and ``normalize``
+            is False.
+
+        See Also
+        --------
+        maximum_likelihood_model : The same without a prior in recorded pairs.
         """
         _checks.boolean(normalize, "normalize")
         zeta = self.on(simulator)
@@ -138,10 +176,29 @@ class TransitionRatio:
         return simulator.with_transitions(csr_on_pattern(simulator.transitions, data))
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
-        """The log's frequencies in recorded pairs, zeta * P in the others; a ValueError
-        if no log is known.
+        """Return the model of the log's frequencies, zeta * P in unrecorded pairs.
+
+        Parameters
+        ----------
+        simulator : FiniteMDP
+            The simulator that the ratio was fitted for.
+
+        Returns
+        -------
+        FiniteMDP
+            The simulator with these transitions.
+
+        Raises
+        ------
+        ValueError
+            If the method keeps no frequencies, or the ratio is another simulator's.
+
+        See Also
+        --------
+        target_model : The model zeta * P.
         """
-        self.on(simulator)  # or an error
+        # This raises an error where the ratio is another simulator's.
+        self.on(simulator)
         if self._influence is None:
             raise ValueError(
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it"
@@ -152,70 +209,94 @@ class TransitionRatio:
 
     @property
     def maximum_likelihood_rows(self) -> Array | None:
-        """(entries,) the rows of ``maximum_likelihood_model``; None where no log is
-        known.
+        """Return the rows of ``maximum_likelihood_model``, (entries,).
+
+        None where the method keeps no frequencies.
         """
-        return (
-            None
-            if self._influence is None
-            else self._influence.maximum_likelihood_rows()
-        )
+        if self._influence is None:
+            return None
+        return self._influence.maximum_likelihood_rows()
 
     @property
     def finite(self) -> bool:
-        """Whether zeta, its gap and what its errors are computed from are finite
-        numbers.
-        """
-        known = [self.values.data, self.gap]
+        """Return whether zeta, its gap and its errors are finite numbers."""
+        numbers: list[Array] = [self.values.data, np.asarray(self.gap)]
         if self._influence is not None:
             tilt = self._influence.tilt
-            information = self._influence.information
-            known += [] if information is None else [information]
-            known += [] if tilt is None else [tilt.theta, tilt.covariances]
-        return all(np.isfinite(x).all() for x in known)
+            if self._influence.information is not None:
+                numbers.append(self._influence.information)
+            if tilt is not None:
+                numbers += [tilt.theta, tilt.covariances]
+        return all(np.isfinite(x).all() for x in numbers)
 
     @one_thread
-    def log_standard_error(self, gradient: Array) -> float | None:
-        """Standard error of a function of zeta * P if its prior fits: that of the log's
-        sampling noise.
+    def log_standard_error(self, gradient: RealArrayLike) -> float | None:
+        """Compute the standard error that the log's sampling noise gives a value.
 
-        ``gradient`` is its derivative in each entry of zeta * P
-        (``exact.transition_gradient``). Rows are taken as multinomial given their
-        counts, and what was chosen on the data (the prior's strength, the strengths of
-        directions) as given; parameters of a tilt have their posterior variance, so
-        that rows without data add what they share with others. The error that a wrong
-        prior makes is not in it. None where no formula is known.
+        Parameters
+        ----------
+        gradient : array-like of shape (entries,)
+            The value's derivative in each entry of zeta * P
+            (``exact.transition_gradient``).
+
+        Returns
+        -------
+        float or None
+            The standard error, in the value's unit; None where no formula is known.
+
+        See Also
+        --------
+        one_step : The correction towards maximum likelihood, with its own error.
+
+        Notes
+        -----
+        Rows are taken as multinomial given their counts, and what was chosen on the
+        data (the prior's strength, the strengths of directions) as given; parameters of
+        a tilt have their posterior variance, so that rows without data add what they
+        share with others. The error that a wrong prior makes is not in it.
         """
         scaled, shift = self._scale(gradient)
-        return (
-            None
-            if self._influence is None
-            else float(np.ldexp(self._influence.standard_error(scaled), shift))
-        )
+        if self._influence is None:
+            return None
+        return float(np.ldexp(self._influence.standard_error(scaled), shift))
 
     @one_thread
-    def one_step(self, gradient: Array) -> OneStep | None:
-        """The first-order correction of a function of zeta * P towards maximum
-        likelihood.
+    def one_step(self, gradient: RealArrayLike) -> OneStep | None:
+        """Compute the first-order correction of a value towards maximum likelihood.
 
-        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has recorded:
-        it removes, to first order, the bias that the prior brings, and takes on the
+        Parameters
+        ----------
+        gradient : array-like of shape (entries,)
+            The value's derivative in each entry of zeta * P
+            (``exact.transition_gradient``).
+
+        Returns
+        -------
+        OneStep or None
+            The correction with its standard errors; None where the method keeps no
+            frequencies.
+
+        See Also
+        --------
+        log_standard_error : The error of the value without the correction.
+
+        Notes
+        -----
+        The correction is sum_x gradient_x (n_x / n_sa - zeta P), over recorded rows. It
+        removes, to first order, the bias that the prior brings, and takes on the
         variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single transition has none under its own frequencies.
         """
         scaled, shift = self._scale(gradient)
         if self._influence is None:
             return None
-        return OneStep(
-            *(
-                float(np.ldexp(part, shift))
-                for part in astuple(self._influence.one_step(scaled))
-            )
-        )
+        step = self._influence.one_step(scaled)
+        return OneStep(*(float(np.ldexp(part, shift)) for part in astuple(step)))
 
-    def _scale(self, gradient: ArrayLike) -> tuple[Array, int]:
-        """A checked gradient divided by the power of two 2^shift that makes its squares
-        numbers, and shift.
+    def _scale(self, gradient: RealArrayLike) -> tuple[Array, int]:
+        """Return the checked gradient divided by 2^shift, and shift.
+
+        The power of two keeps the gradient's squares within double precision.
         """
         array = _checks.float_array(gradient, "gradient", ndim=1)
         _checks.require_finite(array, "gradient")
@@ -231,16 +312,20 @@ class TransitionRatio:
 
 @dataclass(frozen=True)
 class OneStep:
-    """A one-step correction.
+    """A one-step correction of a value, in the value's unit.
 
     Attributes
     ----------
-    change : what to add to the value
-    standard_error : of the corrected value, sqrt(sum over recorded rows of
-        Var(gradient) / n), variances under zeta P
-    unrecorded : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each
-        as of one transition
-    change_error : of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n)
+    change : float
+        The number to add to the value.
+    standard_error : float
+        Standard error of the corrected value, sqrt(sum over recorded rows of
+        Var(gradient) / n), variances under zeta P.
+    unrecorded : float
+        The part that unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each
+        as of one transition.
+    change_error : float
+        Standard error of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n).
     """
 
     change: float
@@ -251,20 +336,29 @@ class OneStep:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """The derivative of zeta * P in the log's frequencies, from the conditions that
-    determine zeta.
+    """The derivative of zeta * P in the log's frequencies.
+
+    It follows from the conditions that determine zeta. Sums go over the rows block by
+    block, to save memory.
 
     Attributes
     ----------
-    rows : the simulator's; counts : n_x on their entries; ratio : zeta
-    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is
-        0)
-    share : of the data in a row, n_sa / (n_sa + kappa)
-    tilt : what the prior's rows are, where it is fitted
-    scores, information : of a class that all rows share, d log zeta / d parameters
-        (entries, d) and its risk's Hessian (d, d)
-
-    What is computed of them goes over the rows block by block.
+    rows : Rows
+        The simulator's rows.
+    counts : ndarray of shape (entries,)
+        Counts n_x.
+    ratio : ndarray of shape (entries,)
+        zeta.
+    curvature : ndarray of shape (entries,)
+        p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is 0).
+    share : ndarray of shape (rows,)
+        Weight of the data in a row, n_sa / (n_sa + kappa).
+    tilt : Tilt or None
+        The tilt of the prior's rows, where it is fitted.
+    scores : ndarray of shape (entries, d) or None
+        d log zeta / d parameters of a class that all rows share.
+    information : ndarray of shape (d, d) or None
+        The Hessian of the class's risk.
     """
 
     rows: Rows
@@ -278,59 +372,55 @@ class Influence:
 
     @cached_property
     def n(self) -> Array:
-        """n_sa."""
+        """Return the counts n_sa, (rows,)."""
         return self.rows.sums(self.counts)
 
     def standard_error(self, gradient: Array) -> float:
-        """The error that the log's noise makes.
+        """Compute the standard error that the log's noise makes.
 
-        Of a class, sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation).
-        Else sqrt(sum_rows share^2 Var(d) / n + p' H^-1 p), d = d value / d frequencies,
-        p and H the derivative in the tilt's parameters, through what the rows have of
-        it, and their information. Variances are those under the frequencies.
+        For a class it is sqrt(sum_rows n Var(psi)), psi = d value / d (one more
+        observation). Else it is sqrt(sum_rows share^2 Var(d) / n + p' H^-1 p), d = d
+        value / d frequencies, p and H the derivative in the tilt's parameters, through
+        the rows' share of the tilt, and their information. Variances are those under
+        the frequencies.
         """
         total = 0.0
         step = None
         if self.scores is not None:
             assert self.information is not None
-            free = self._by_probability(gradient, self.rows) * self.rows.spread(
-                1.0 - self.share
-            )
-            step = np.linalg.lstsq(
-                self.information, (free * self.ratio * self.rows.weights) @ self.scores
-            )[0]
+            prior_share = self.rows.spread(1.0 - self.share)
+            free = self._by_probability(gradient, self.rows) * prior_share
+            slope = (free * self.ratio * self.rows.weights) @ self.scores
+            step = np.linalg.lstsq(self.information, slope)[0]
         for rows in self.rows.select(self.n > 0).blocks():
             n = self.n[rows.number]
-            psi = rows.spread(self.share[rows.number] / n) * self._by_probability(
-                gradient, rows
-            )
+            slope = self._by_probability(gradient, rows)
+            psi = rows.spread(self.share[rows.number] / n) * slope
             if step is not None and self.scores is not None:
                 psi += self.scores[rows.entries] @ step
-            total += float(
-                np.sum(
-                    n * rows.variance(rows.frequencies(self.counts[rows.entries]), psi)
-                )
-            )
+            frequencies = rows.frequencies(self.counts[rows.entries])
+            total += float(np.sum(n * rows.variance(frequencies, psi)))
         if self.tilt is not None:
             pull: Any = 0.0
             for rows in self.rows.blocks():
-                free = rows.spread(
-                    1.0 - self.share[rows.number]
-                ) * self._by_probability(gradient, rows)
+                prior_share = rows.spread(1.0 - self.share[rows.number])
+                free = prior_share * self._by_probability(gradient, rows)
                 pull = pull + self.tilt.pull(rows, free * self.tilt.at(rows))
             total += self.tilt.variance(pull)
         return float(np.sqrt(total))
 
     def maximum_likelihood_rows(self) -> Array:
-        """n_x / n_sa where the log has been, zeta P elsewhere."""
+        """Return n_x / n_sa in recorded rows and zeta P elsewhere, (entries,)."""
         model = self.ratio * self.rows.weights
-        seen = self.rows.select(self.n > 0)
-        model[seen.entries] = seen.frequencies(self.counts[seen.entries])
+        recorded = self.rows.select(self.n > 0)
+        frequencies = recorded.frequencies(self.counts[recorded.entries])
+        model[recorded.entries] = frequencies
         return model
 
     def one_step(self, gradient: Array) -> OneStep:
-        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta
-        P, the prior taken as given.
+        """Compute the one-step correction, the prior taken as given.
+
+        The variances of a row are those under zeta P (``TransitionRatio.one_step``).
         """
         variance = np.empty(len(self.rows))
         change = 0.0
@@ -338,23 +428,22 @@ class Influence:
             kernel = self.ratio[rows.entries] * rows.weights
             slope = gradient[rows.entries]
             variance[rows.number] = rows.variance(kernel, slope)
-            seen = rows.spread(self.n[rows.number] > 0)
-            change += float(
-                slope[seen]
-                @ (rows.frequencies(self.counts[rows.entries]) - kernel)[seen]
-            )
-        visited = self.n > 0
-        each = np.where(visited, variance / np.maximum(self.n, 1.0), 0.0)
-        squares = (
-            each.sum(),
-            variance[~visited].sum(),
-            np.sum((1.0 - self.share) ** 2 * each),
+            recorded = rows.spread(self.n[rows.number] > 0)
+            difference = rows.frequencies(self.counts[rows.entries]) - kernel
+            change += float(slope[recorded] @ difference[recorded])
+        is_recorded = self.n > 0
+        each = np.where(is_recorded, variance / np.maximum(self.n, 1.0), 0.0)
+        return OneStep(
+            change,
+            standard_error=float(np.sqrt(each.sum())),
+            unrecorded=float(np.sqrt(variance[~is_recorded].sum())),
+            change_error=float(np.sqrt(np.sum((1.0 - self.share) ** 2 * each))),
         )
-        return OneStep(change, *(float(np.sqrt(x)) for x in squares))
 
     def _by_probability(self, gradient: Array, rows: Rows) -> Array:
-        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q
-        dg = 0 in each of the rows.
+        """Compute d value / d p, p the smoothed frequencies, on the rows' entries.
+
+        It follows from H dg = dp/g - q dm and sum q dg = 0 in each of the rows.
         """
         q = rows.weights
         zeta = self.ratio[rows.entries]

@@ -1,7 +1,7 @@
-"""The paper's Algorithm 1 on tables: stochastic gradient descent on the KL risk, to see
-what its training adds to the error.
+"""The paper's Algorithm 1 on tables: stochastic gradient descent on the KL risk.
 
-At each iteration N points are drawn from p and N from q, and
+It shows what training adds to the error of a ratio. At each iteration N points are
+drawn from p and N from q, and
 
     g <- clip(g - step (count_q / N - count_p / (N g) + ridge term), lower, upper),
 
@@ -22,13 +22,20 @@ from oee_tabular.typing import Array, IntArray, Seed
 
 @dataclass(frozen=True)
 class Sgd:
-    """Algorithm 1's settings, on tables.
+    """Settings of Algorithm 1 on tables.
 
     Parameters
     ----------
-    step_size : eta > 0
-    batch_size : N, draws from each side at an iteration
-    n_iterations : all of them are done
+    step_size : float, default 0.1
+        Step size eta > 0.
+    batch_size : int, default 64
+        Number N of draws from each side at an iteration.
+    n_iterations : int, default 10000
+        Number of iterations; all of them are done.
+
+    See Also
+    --------
+    Network : Algorithm 1 on a multilayer perceptron.
 
     Examples
     --------
@@ -43,6 +50,7 @@ class Sgd:
     n_iterations: int = 10_000
 
     def __post_init__(self) -> None:
+        """Check the settings."""
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
         _checks.positive_integer(self.batch_size, "batch_size")
         _checks.positive_integer(self.n_iterations, "n_iterations")
@@ -54,9 +62,12 @@ class SgdTrace:
 
     Attributes
     ----------
-    iteration : how many steps had been made
-    excess : the program's value less its optimum (nats)
-    error : the mean |g - g*|
+    iteration : ndarray of int
+        Number of steps made, one entry for each checked iteration.
+    excess : ndarray
+        The program's value less its optimum, in nats.
+    error : ndarray
+        The mean absolute difference of g from the optimum's.
 
     Examples
     --------
@@ -73,10 +84,10 @@ class SgdTrace:
 def descend(
     program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed
 ) -> tuple[Array, SgdTrace]:
-    """g after all iterations, from g = 1, and its trace at about fifty of them, even in
-    the logarithm of the iteration.
+    """Run Algorithm 1 from g = 1; return the last g and the trace.
 
-    ``program`` is that of the KL risk; 0 < lower, upper finite.
+    The trace has about fifty iterations, evenly spaced in their logarithm. ``program``
+    is that of the KL risk; 0 < lower, and upper is finite.
     """
     best = dual.solve_free(program, lower, upper)
     optimum = dual.objective(best, program)
@@ -102,6 +113,6 @@ def descend(
 
 
 def _draw_shares(sums: Array, size: int, generator: np.random.Generator) -> Array:
-    """The share of each entry in a batch, from the cumulated weights."""
+    """Return the share of each entry in a batch, drawn from cumulated weights."""
     drawn = np.searchsorted(sums, generator.random(size) * sums[-1], side="right")
     return np.bincount(np.minimum(drawn, len(sums) - 1), minlength=len(sums)) / size

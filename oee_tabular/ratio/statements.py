@@ -1,8 +1,8 @@
-"""Every program as data, and as cvxpy states it for a conic solver: the reference that
-the structured solvers are held to.
+"""The programs of all methods as data, and as cvxpy states them for a conic solver.
 
-Squares stand in epigraph form (s >= (g - c)^2 as second-order cones): a quadratic
-objective beside exponential cones stalls. Only the status "optimal" is accepted.
+They are the reference that the structured solvers are compared with. Squares stand in
+epigraph form (s >= (g - c)^2 as second-order cones): a quadratic objective beside
+exponential cones stalls. Only the status "optimal" is accepted.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from scipy import sparse
 from oee_tabular._checks import show
 from oee_tabular.exceptions import ArgumentError, SolverStatusError
 from oee_tabular.ratio.dual import Coordinates
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, Csr, IntArray
 
-# Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its
-# default, leaves ratios off by 1e-4
+# Clarabel is asked for the tightest of these tolerances on gap and feasibility that it
+# can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4.
 TOLERANCES = (1e-12, 1e-10, 1e-8)
-SMALLEST = np.finfo(float).tiny  # the least g that has a logarithm
+# The least ratio that has a logarithm.
+SMALLEST_RATIO = np.finfo(float).tiny
 
 
 def clarabel_options(tolerance: float) -> dict[str, Any]:
-    """Clarabel's settings for a tolerance on gap and feasibility."""
+    """Return Clarabel's settings for a tolerance on gap and feasibility."""
     names = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
     return {**dict.fromkeys(names, tolerance), "tol_ktratio": 1e-6, "max_iter": 500}
 
 
 class JointProgram(NamedTuple):
-    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,); nu, mu
-    the box, lam the ridge.
+    """The joint program of ``ratio.joint``.
 
+    p, q are (entries,), s, r (rows,); nu and mu are the box, lam is the ridge.
     ``ratio_lower`` and ``ratio_upper`` bound the ratio beta_sas' / beta_sa (0 and inf:
     free).
     """
@@ -51,8 +52,10 @@ class JointProgram(NamedTuple):
 
 
 class JointPoint(NamedTuple):
-    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the lower
-    and upper bounds on their ratio.
+    """A point of the joint program: beta_sas', beta_sa, and the multipliers.
+
+    theta is the multiplier of each (s, a)'s consistency; eta and xi are those of the
+    lower and upper bounds on the ratio of the two.
     """
 
     moves: Array
@@ -80,8 +83,10 @@ class LinearProgram(NamedTuple):
 
 
 class TiltProgram(NamedTuple):
-    """The tilt's program: counts (entries,), log of the simulator's rows, features
-    (entries, d), rows by ``indptr``.
+    """The program of a tilt, with rows by ``indptr``.
+
+    Counts are (entries,), as is the logarithm of the simulator's rows; features are
+    (entries, d).
     """
 
     counts: Array
@@ -98,11 +103,12 @@ def solve_rows(
     *,
     solver: str = "CLARABEL",
 ) -> tuple[Array, Array]:
-    """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in
-    each row (indptr None: free).
+    """Solve the separable program of ``ratio.dual`` by a cvxpy solver.
 
-    Least squares: q g^2 / 2 - p g in place of the first two terms. Returns g inside the
-    box, and the multipliers of the equalities (one a row). Raises SolverStatusError (a
+    It minimises sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in
+    each row (no equality where indptr is None). Least squares have q g^2 / 2 - p g in
+    place of the first two terms. Returns g inside the box, and the multipliers of the
+    equalities (one a row). Raises SolverStatusError (a
     RuntimeError) for any status but "optimal", ValueError for a solver that is not
     installed. Cost: a conic program with an exponential cone an entry.
     """
@@ -112,16 +118,19 @@ def solve_rows(
     q = program.q
     curvature = program.curvature
     g = cp.Variable(len(p))
-    seen = np.flatnonzero((p > 0) & (not program.squares))
-    constraints = [g >= lower] if lower > 0 or len(seen) < len(p) else []
+    has_log = np.flatnonzero((p > 0) & (not program.squares))
+    constraints = []
+    if lower > 0 or len(has_log) < len(p):
+        constraints.append(g >= lower)
     if upper < np.inf:
         constraints.append(g <= upper)
     cost = (-p if program.squares else q) @ g
-    if seen.size:
-        cost = cost - p[seen] @ cp.log(g[seen])
-    for weight, center in [(curvature, program.center)] + [
-        (q, np.zeros(len(q)))
-    ] * program.squares:
+    if has_log.size:
+        cost = cost - p[has_log] @ cp.log(g[has_log])
+    squares = [(curvature, program.center)]
+    if program.squares:
+        squares.append((q, np.zeros(len(q))))
+    for weight, center in squares:
         curved = np.flatnonzero(weight > 0)
         if curved.size:
             height = cp.Variable(curved.size)
@@ -135,11 +144,11 @@ def solve_rows(
     multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
     if filled.size:
         multiplier[filled] = np.ravel(constraints[-1].dual_value)
-    return np.clip(g.value, max(lower, SMALLEST), upper), multiplier
+    return np.clip(g.value, max(lower, SMALLEST_RATIO), upper), multiplier
 
 
-def _sums_over_rows(weights: Array, indptr: IntArray) -> sparse.csr_array:
-    """The matrix that takes (entries,) values to their weighted sums over the rows."""
+def _sums_over_rows(weights: Array, indptr: IntArray) -> Csr:
+    """Return the matrix that maps (entries,) values to weighted sums over the rows."""
     return sparse.csr_array(
         (weights, np.arange(len(weights)), indptr),
         shape=(len(indptr) - 1, len(weights)),
@@ -147,7 +156,7 @@ def _sums_over_rows(weights: Array, indptr: IntArray) -> sparse.csr_array:
 
 
 def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:
-    """The statement of ``ratio.joint``, solved by ``solver``."""
+    """Solve the program of ``ratio.joint`` by a cvxpy solver."""
     import cvxpy as cp
 
     moves = cp.Variable(len(program.p))
@@ -157,46 +166,54 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     consistency = rows @ moves == cp.multiply(rows.sum(axis=1), pairs)
     constraints = [consistency]
     for weights, variable in ((program.p, moves), (program.s, pairs)):
-        seen = np.flatnonzero(weights > 0)
-        cost = cost - weights[seen] @ cp.log(variable[seen])
-        constraints += [variable >= program.nu] + [variable <= program.mu] * (
-            program.mu < np.inf
-        )
+        has_log = np.flatnonzero(weights > 0)
+        cost = cost - weights[has_log] @ cp.log(variable[has_log])
+        constraints.append(variable >= program.nu)
+        if program.mu < np.inf:
+            constraints.append(variable <= program.mu)
         if program.lam > 0:
             height = cp.Variable(len(weights))
             constraints.append(cp.square(variable) <= height)
             cost = cost + 0.5 * program.lam * cp.sum(height)
     at_entry = pairs[np.repeat(np.arange(len(program.s)), np.diff(program.indptr))]
-    below = [moves >= program.ratio_lower * at_entry] * (program.ratio_lower > 0)
-    above = [moves <= program.ratio_upper * at_entry] * (program.ratio_upper < np.inf)
-    _require_optimal(
-        run(cp.Problem(cp.Minimize(cost), constraints + below + above), solver), solver
+    below = None
+    if program.ratio_lower > 0:
+        below = moves >= program.ratio_lower * at_entry
+        constraints.append(below)
+    above = None
+    if program.ratio_upper < np.inf:
+        above = moves <= program.ratio_upper * at_entry
+        constraints.append(above)
+    problem = cp.Problem(cp.Minimize(cost), constraints)
+    _require_optimal(run(problem, solver), solver)
+    lowest = max(program.nu, SMALLEST_RATIO)
+    return JointPoint(
+        moves=np.clip(moves.value, lowest, program.mu),
+        pairs=np.clip(pairs.value, lowest, program.mu),
+        theta=np.ravel(consistency.dual_value),
+        eta=_multipliers(below, len(program.q)),
+        xi=_multipliers(above, len(program.q)),
     )
-    ratios = [
-        np.clip(variable.value, max(program.nu, SMALLEST), program.mu)
-        for variable in (moves, pairs)
-    ]
-    eta, xi = (
-        (
-            np.maximum(np.ravel(bound[0].dual_value), 0.0)
-            if bound
-            else np.zeros(len(program.q))
-        )
-        for bound in (below, above)
-    )
-    return JointPoint(ratios[0], ratios[1], np.ravel(consistency.dual_value), eta, xi)
+
+
+def _multipliers(bound: Any, n: int) -> Array:
+    """Return the (n,) multipliers of a solved bound; 0 where there is no bound."""
+    if bound is None:
+        return np.zeros(n)
+    return np.maximum(np.ravel(bound.dual_value), 0.0)
 
 
 def solve_linear(
     program: LinearProgram, *, solver: str = "CLARABEL", step_fraction: float = 0.99
 ) -> tuple[Array, Array, float] | None:
-    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1; None where no
-    w meets the constraints.
+    """Solve the program of ``ratio.linear`` by a cvxpy solver.
 
-    Clarabel's steps end at ``step_fraction`` of the way to the boundary, and what it
-    reaches is handed over whatever its status: the caller has a certificate. Any other
-    solver must report "optimal". Here alone the square stands in the objective: without
-    a scaling of the rows Clarabel then gets further.
+    Returns w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1; None
+    where no w meets the constraints. Clarabel's steps end at ``step_fraction`` of the
+    way to the boundary, and what it reaches is returned whatever its status, since the
+    caller has a certificate. Any other solver must report "optimal". Here alone the
+    square stands in the objective, because without a scaling of the rows Clarabel then
+    gets further.
     """
     import cvxpy as cp
 
@@ -206,17 +223,14 @@ def solve_linear(
     weights = cp.Variable(program.features.shape[1])
     tie = g == program.offset + program.features @ weights
     one = q @ g == 1
-    bounds = (
-        [g >= program.lower]
-        + [g <= program.upper] * (program.upper < np.inf)
-        + [one] * program.normalized
-    )
-    seen = np.flatnonzero(p > 0)
-    cost = (
-        q @ g
-        - p[seen] @ cp.log(g[seen])
-        + 0.5 * program.penalty * cp.sum_squares(weights)
-    )
+    bounds = [g >= program.lower]
+    if program.upper < np.inf:
+        bounds.append(g <= program.upper)
+    if program.normalized:
+        bounds.append(one)
+    has_log = np.flatnonzero(p > 0)
+    risk = q @ g - p[has_log] @ cp.log(g[has_log])
+    cost = risk + 0.5 * program.penalty * cp.sum_squares(weights)
     problem = cp.Problem(cp.Minimize(cost), [tie, *bounds])
     if solver == "CLARABEL":
         settings = clarabel_options(TOLERANCES[0]) | {
@@ -235,31 +249,31 @@ def solve_linear(
 
 
 def nearest_miss(program: LinearProgram) -> float:
-    """How far the class stays from the bounds at best, sum q g = 1 held; inf: nowhere.
-    Below 0 where it has room.
+    """Return the least violation of the bounds in the class, with sum q g = 1.
 
-    A linear program: minimise t >= -1 over lower - t <= offset + Phi w <= upper + t.
+    It is negative where a function is strictly within the bounds, and inf where none
+    meets the equality. It solves a linear program: minimise t >= -1 over lower - t <=
+    offset + Phi w <= upper + t.
     """
     import cvxpy as cp
 
     weights = cp.Variable(program.features.shape[1])
     miss = cp.Variable()
     g = program.offset + program.features @ weights
-    bounds = [miss >= -1, g >= program.lower - miss] + [
-        program.q @ g == 1
-    ] * program.normalized
-    problem = cp.Problem(
-        cp.Minimize(miss),
-        bounds + [g <= program.upper + miss] * (program.upper < np.inf),
-    )
+    bounds = [miss >= -1, g >= program.lower - miss]
+    if program.normalized:
+        bounds.append(program.q @ g == 1)
+    if program.upper < np.inf:
+        bounds.append(g <= program.upper + miss)
+    problem = cp.Problem(cp.Minimize(miss), bounds)
     return float(miss.value) if run(problem, "CLARABEL") == "optimal" else np.inf
 
 
 def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
-    """theta: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta
-    + |theta|^2 / 2.
+    """Solve a tilt's program by a cvxpy solver; return theta.
 
-    Rows of one length share one log-sum-exp atom.
+    theta minimises sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta +
+    |theta|^2 / 2. Rows of one length share one log-sum-exp atom.
     """
     import cvxpy as cp
 
@@ -280,13 +294,15 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
 
 
 def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -> str:
-    """Solve, Clarabel at falling demands; the status that was reached (a failure is
-    one).
+    """Solve a problem and return the status that was reached (a failure is one).
+
+    Clarabel is tried at each tolerance until it reports "optimal".
     """
     status = "failed"
-    for options in (
-        [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]
-    ):
+    settings: list[dict[str, Any]] = [{}]
+    if solver == "CLARABEL":
+        settings = [clarabel_options(tolerance) for tolerance in tolerances]
+    for options in settings:
         status = _attempt(problem, solver, options)
         if status == "optimal":
             break
@@ -294,8 +310,9 @@ def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -
 
 
 def _attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
-    """Solve once; the status that was reached (a failure is one). ValueError for a
-    solver that is not installed.
+    """Solve a problem once and return the status that was reached.
+
+    Raises ValueError for a solver that is not installed.
     """
     import cvxpy as cp
 
@@ -315,7 +332,7 @@ def _attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
 
 
 def _require_optimal(status: str, solver: str) -> None:
-    """SolverStatusError for any other status."""
+    """Raise a SolverStatusError unless the status is "optimal"."""
     if status != "optimal":
         raise SolverStatusError(
             f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not"

@@ -1,5 +1,6 @@
-"""The support of a ratio: transitions with simulator probability 0, and the paper's
-assumptions checked on a given pair.
+"""The support of a ratio, and the paper's assumptions checked on given distributions.
+
+A ratio has no value for transitions to which the simulator gives probability 0.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -17,27 +17,44 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.ratio.dual import check_distributions
-from oee_tabular.typing import Array
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Csr,
+    IntArray,
+    RealArrayLike,
+    SparseLike,
+)
 
-LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
-LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
+# The least simulator probability of a transition with a ratio; below it ratios overflow.
+LEAST_PROBABILITY = 1e-300
+# The number beyond which a float does not tell n from n + 1.
+LARGEST_COUNT = 2.0**53
 
 
 def refuse_unsupported(
-    moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log"
+    moves: SparseLike, simulator: FiniteMDP, *, what: str = "log"
 ) -> None:
-    """Raise a ValueError if ``moves`` leave the simulator's support.
+    """Raise an error if transitions leave the simulator's support.
 
     Parameters
     ----------
-    moves : csr (S*A, S), counts or probabilities
+    moves : sparse array of shape (S*A, S)
+        Counts or probabilities of the transitions, row s*A + a and column s'.
     simulator : FiniteMDP
-    what : the name of the transitions in the error
+        The simulator.
+    what : str, default 'log'
+        The name of the transitions in the error.
 
     Raises
     ------
     ValueError
-        Names the most frequent of these transitions, their number, and what to do.
+        If the simulator gives a transition probability 0. The error names the most
+        frequent of these transitions, their number, and what to do.
+
+    See Also
+    --------
+    uncovered_share : The share of such transitions.
 
     Notes
     -----
@@ -51,50 +68,46 @@ def refuse_unsupported(
     Traceback (most recent call last):
     ValueError: target must stay in the simulator's support: the simulator gives probability 0 to 24 of its transitions...
     """
-    moves, possible = _possible(moves, simulator)
-    bad = np.flatnonzero((moves.data > 0) & ~possible)
+    counts, possible = _possible(moves, simulator)
+    bad = np.flatnonzero((counts.data > 0) & ~possible)
     if bad.size == 0:
         return
-    heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
-    names = [
-        name_transition(moves, int(k), simulator.n_actions, simulator.names)
-        for k in heaviest
-    ]
-    named = "; ".join(
-        f"{name} ({moves.data[k]:g})" for name, k in zip(names, heaviest, strict=True)
-    )
-    share = moves.data[bad].sum()
-    faint = (
-        f"0 or below {LEAST_PROBABILITY:g}"
-        if align(simulator.transitions, moves)[0][bad].any()
-        else "0"
-    )
+    most_frequent = bad[np.argsort(-counts.data[bad], kind="stable")][:4]
+    named = []
+    for k in most_frequent:
+        name = name_transition(counts, int(k), simulator.n_actions, simulator.names)
+        named.append(f"{name} ({counts.data[k]:g})")
+    if bad.size > 4:
+        named[-1] += ", ..."
+    total = counts.data[bad].sum()
+    probability = "0"
+    if align(simulator.transitions, counts)[0][bad].any():
+        probability = f"0 or below {LEAST_PROBABILITY:g}"
     raise ValueError(
         f"{what} must stay in the simulator's support: the simulator gives probability"
-        f" {faint} to {bad.size} of its transitions ({share:g} of {moves.data.sum():g}"
-        f" with repetitions): {named}{', ...' * (bad.size > 4)}. "
-        + _suggest_remedies(moves, bad, simulator)
+        f" {probability} to {bad.size} of its transitions ({total:g} of"
+        f" {counts.data.sum():g} with repetitions): {'; '.join(named)}. "
+        + _suggest_remedies(counts, bad, simulator)
     )
 
 
-def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
-    """Say what would give these transitions probability."""
+def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
+    """Return the sentence on what would give these transitions probability."""
     n_actions = simulator.n_actions
     rows = row_of_entry(moves)
     to = moves.indices.astype(np.int64)
     start, action = np.divmod(rows, n_actions)
-    if (
-        min(start.min(), to.min()) >= 1
-        and find(simulator.transitions, rows - n_actions, to - 1)[1].all()
-    ):
-        return (
-            "With 1 subtracted from every state all transitions are possible: states"
-            " are numbered from 0"
-        )
-    # whether any action of the state leads there
-    someone = np.zeros(len(rows), dtype=np.bool_)
+    if min(start.min(), to.min()) >= 1:
+        _, stored = find(simulator.transitions, rows - n_actions, to - 1)
+        if stored.all():
+            return (
+                "With 1 subtracted from every state all transitions are possible:"
+                " states are numbered from 0"
+            )
+    # Whether any action of the state leads there.
+    reachable = np.zeros(len(rows), dtype=np.bool_)
     for a in range(n_actions):
-        someone |= find(simulator.transitions, start * n_actions + a, to)[1]
+        reachable |= find(simulator.transitions, start * n_actions + a, to)[1]
     ways = [
         (
             "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives"
@@ -109,51 +122,60 @@ def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -
             " transitions"
         ),
     ]
-    if someone[bad].all():
-        return _number(
-            [
-                "simulator.with_action_noise(epsilon) (--action-noise) makes them possible",
-                *ways,
-            ]
+    if reachable[bad].all():
+        noise = (
+            "simulator.with_action_noise(epsilon) (--action-noise) makes them possible"
         )
-    k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
+        return _number_ways([noise, *ways])
+    unreachable = bad[~reachable[bad]]
+    k = int(unreachable[np.argmax(moves.data[unreachable])])
     s = int(start[k])
     a = int(action[k])
     j = int(to[k])
-    could = int(someone[bad].sum())
+    n_helped = int(reachable[bad].sum())
+    helped = f" (it does for {n_helped} of the {bad.size})" if n_helped else ""
     here = simulator.names.state(s)
     there = simulator.names.state(j)
+    give_probability = (
+        f"if the target can do this, give it probability: P[{s}, {a}] *= 0.99;"
+        f" P[{s}, {a}, {j}] += 0.01"
+    )
+    remove = "if the log is wrong, remove these transitions from it"
     return (
         f"No action leads from {here} to {there} in the simulator, so action noise does"
-        " not help"
-        + (f" (it does for {could} of the {bad.size}). " if could else ". ")
-        + _number(
-            [
-                (
-                    f"if the target can do this, give it probability: P[{s}, {a}] *= 0.99;"
-                    f" P[{s}, {a}, {j}] += 0.01"
-                ),
-                "if the log is wrong, remove these transitions from it",
-                *ways,
-            ]
-        )
+        f" not help{helped}. {_number_ways([give_probability, remove, *ways])}"
     )
 
 
-def _number(ways: list[str]) -> str:
-    return (
-        "Fix one of these:"
-        f" {'; '.join(f'({k}) {way}' for k, way in enumerate(ways, 1))}"
-    )
+def _number_ways(ways: list[str]) -> str:
+    """Return the sentence that lists the ways to fix something, numbered."""
+    numbered = "; ".join(f"({k}) {way}" for k, way in enumerate(ways, 1))
+    return f"Fix one of these: {numbered}"
 
 
-def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
-    """Compute the share of ``moves`` to which the simulator gives probability 0.
+def uncovered_share(moves: SparseLike, simulator: FiniteMDP) -> float:
+    """Compute the share of transitions to which the simulator gives probability 0.
 
     Parameters
     ----------
-    moves : csr (S*A, S), counts or weighted probabilities
+    moves : sparse array of shape (S*A, S)
+        Counts or weighted probabilities of the transitions, row s*A + a and column s'.
     simulator : FiniteMDP
+        The simulator.
+
+    Returns
+    -------
+    float
+        The share, in [0, 1], of the sum of ``moves``.
+
+    Raises
+    ------
+    ValueError
+        If the sum of ``moves`` is not positive and finite.
+
+    See Also
+    --------
+    refuse_unsupported : The error that names such transitions.
 
     Examples
     --------
@@ -162,24 +184,25 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
     >>> uncovered_share(target.transitions, simulator) > 0, uncovered_share(simulator.transitions, target)
     (True, 0.0)
     """
-    moves, possible = _possible(moves, simulator)
-    total = moves.data.sum()
+    counts, possible = _possible(moves, simulator)
+    total = counts.data.sum()
     if not 0 < total < np.inf:
         raise ArgumentError(
             "moves", f"must have a positive, finite sum; it is {total:g}"
         )
-    return float(moves.data[~possible].sum() / total)
+    return float(counts.data[~possible].sum() / total)
 
 
 def _possible(
     moves: Any, simulator: FiniteMDP, name: str = "moves"
-) -> tuple[sparse.csr_array, _checks.BoolArray]:
-    """The transitions as csr, and which of them have a probability in the simulator
-    that a ratio can be taken of.
+) -> tuple[Csr, BoolArray]:
+    """Return the transitions as csr, and which of them a ratio can be taken of.
+
+    These have a large enough probability in the simulator.
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
-    if not sparse.issparse(moves) or moves.shape != matrix.shape:
+    if not _checks.is_sparse(moves) or moves.shape != matrix.shape:
         raise ArgumentError(
             name,
             f"must be sparse of shape {matrix.shape}; got"
@@ -190,11 +213,11 @@ def _possible(
     return rows, stored & (matrix.data[position] >= LEAST_PROBABILITY)
 
 
-def without_impossible(
-    counts: sparse.csr_array, simulator: FiniteMDP
-) -> tuple[sparse.csr_array, Array]:
-    """Canonical counts without transitions of simulator probability 0, and (S*A,) how
-    many those were.
+def without_impossible(counts: SparseLike, simulator: FiniteMDP) -> tuple[Csr, Array]:
+    """Return counts without impossible transitions, and how many these were.
+
+    Impossible are those of simulator probability 0; their numbers are (S*A,). The
+    counts are canonical.
 
     Examples
     --------
@@ -208,18 +231,17 @@ def without_impossible(
         (np.where(possible, moves.data, 0.0), moves.indices, moves.indptr), moves.shape
     )
     rows = row_of_entry(moves)[~possible]
-    dropped = np.bincount(rows, moves.data[~possible], counts.shape[0]).astype(
-        np.float64
-    )
-    return canonical(kept, drop_zeros=True), dropped
+    dropped = np.bincount(rows, moves.data[~possible], moves.shape[0])
+    return canonical(kept, drop_zeros=True), dropped.astype(np.float64)
 
 
-def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
-    """Counts as a canonical csr of the simulator's shape; errors for shape, sign and
-    size that name the place.
+def checked_counts(counts: Any, simulator: FiniteMDP) -> Csr:
+    """Return counts as a canonical csr of the simulator's shape.
+
+    Raises errors for shape, sign and size, which name the place.
     """
     shape = simulator.transitions.shape
-    if not sparse.issparse(counts):
+    if not _checks.is_sparse(counts):
         raise ArgumentError(
             "counts", f"must be sparse, of shape {shape}; got {type(counts).__name__}"
         )
@@ -246,26 +268,29 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
     return matrix
 
 
-def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
-    """Counts on the entries of the simulator's transitions; errors for shapes, signs
-    and support.
+def aligned_counts(counts: SparseLike, simulator: FiniteMDP) -> Array:
+    """Return counts on the entries of the simulator's transitions, (entries,).
+
+    Raises errors for shape, sign, size and support.
     """
     return supported_counts(checked_counts(counts, simulator), simulator)
 
 
-def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
-    """The same of canonical counts: errors for support alone."""
+def supported_counts(counts: Csr, simulator: FiniteMDP) -> Array:
+    """Return canonical counts on the entries of the simulator's transitions.
+
+    Raises an error for support alone.
+    """
     values, stored = align(counts, simulator.transitions)
-    if (
-        np.count_nonzero(stored) < counts.nnz
-        or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any()
-    ):
+    is_unsupported = np.count_nonzero(stored) < counts.nnz
+    is_too_rare = simulator.transitions.data[values > 0] < LEAST_PROBABILITY
+    if is_unsupported or is_too_rare.any():
         refuse_unsupported(counts, simulator)
     return values
 
 
 def require_pair(target: object, simulator: object) -> None:
-    """Two MDPs with the same states and actions."""
+    """Raise an error unless both are MDPs with the same states and actions."""
     first = _checks.instance(target, FiniteMDP, "target").transitions
     second = _checks.instance(simulator, FiniteMDP, "simulator").transitions
     if first.shape != second.shape:
@@ -281,13 +306,25 @@ class Assumptions:
 
     Attributes
     ----------
-    box_contains_one : nu < 1 < mu (Assumption V.1)
-    inside : nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all
-        functions in the box)
-    supported : p = 0 wherever q = 0
-    below, above, unsupported : how many entries miss each
-    smallest, largest : of p/q where q > 0
-    renyi_infinity : D_inf(p || q) = log max p/q, infinite without support
+    box_contains_one : bool
+        Whether nu < 1 < mu (Assumption V.1).
+    inside : bool
+        Whether nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all
+        functions in the box).
+    supported : bool
+        Whether p = 0 wherever q = 0.
+    below : int
+        Number of entries with p/q < nu.
+    above : int
+        Number of entries with p/q > mu.
+    unsupported : int
+        Number of entries with q = 0 < p.
+    smallest : float
+        The smallest p/q where q > 0.
+    largest : float
+        The largest p/q where q > 0.
+    renyi_infinity : float
+        D_inf(p || q) = log max p/q in nats, infinite without support.
 
     Examples
     --------
@@ -307,12 +344,11 @@ class Assumptions:
     renyi_infinity: float
 
     def __str__(self) -> str:
+        """Return one line on which assumptions hold."""
         box = "holds" if self.box_contains_one else "fails"
-        inside = (
-            "holds"
-            if self.inside
-            else f"fails ({self.below} entries below, {self.above} above)"
-        )
+        inside = "holds"
+        if not self.inside:
+            inside = f"fails ({self.below} entries below, {self.above} above)"
         support = "holds" if self.supported else f"fails at {self.unsupported} entries"
         return (
             f"nu < 1 < mu: {box}; nu <= p/q <= mu: {inside}, p/q from"
@@ -322,15 +358,34 @@ class Assumptions:
 
 
 def check_assumptions(
-    p: ArrayLike, q: ArrayLike, *, lower: float, upper: float
+    p: RealArrayLike, q: RealArrayLike, *, lower: float, upper: float
 ) -> Assumptions:
-    """Check assumptions V.1 and V.2 for the distributions p, q (counts are scaled) and
-    the box [lower, upper].
+    """Check assumptions V.1 and V.2 for two distributions and a box.
 
     Parameters
     ----------
-    p, q : (n,) nonnegative; counts or probabilities, each is scaled to sum to 1
-    lower, upper : the paper's nu >= 0 and mu, inf allowed
+    p : array-like of shape (n,)
+        Nonnegative counts or probabilities, scaled to sum to 1.
+    q : array-like of shape (n,)
+        Nonnegative counts or probabilities of the same entries, scaled to sum to 1.
+    lower : float
+        The paper's nu >= 0.
+    upper : float
+        The paper's mu; inf is allowed.
+
+    Returns
+    -------
+    Assumptions
+        Which assumptions hold, and where the ratio p/q lies.
+
+    Raises
+    ------
+    ValueError
+        If weights are negative or all zero, or of different lengths.
+
+    See Also
+    --------
+    density_ratio : The estimate of p/q in the box.
 
     Examples
     --------
@@ -341,9 +396,9 @@ def check_assumptions(
     nu = _checks.number_in(lower, "lower", 0.0, np.inf)
     mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     ratio = ps[qs > 0] / qs[qs > 0]
-    unsupported, below, above = (
-        int(np.sum(x)) for x in ((qs == 0) & (ps > 0), ratio < nu, ratio > mu)
-    )
+    unsupported = int(np.sum((qs == 0) & (ps > 0)))
+    below = int(np.sum(ratio < nu))
+    above = int(np.sum(ratio > mu))
     return Assumptions(
         box_contains_one=nu < 1.0 < mu,
         inside=below == above == 0,

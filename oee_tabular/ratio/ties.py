@@ -1,13 +1,13 @@
-"""zeta tied between cells: entries (s, a, s') with one key share one ratio, so that
-their counts are pooled.
+"""Ratios tied between transitions: all entries with one key share one ratio.
 
-With few transitions hardly any row (s, a) is visited, but rows may be alike: a command
-moves an arm by much the same displacement wherever it is. Let c(s, a, s') be the key of
-an entry. The paper's risk, summed over the log's rows and over g that depend on the key
-alone, is a program over one number a key:
+Their counts are pooled. With few transitions hardly any row (s, a) is recorded, but
+rows may be alike: a command moves an arm by much the same displacement wherever it is.
+Let c(s, a, s') be the key of an entry. The paper's risk, summed over the log's rows and
+over g that depend on the key alone, is a program over one number a key:
 
     minimise  sum_c  M_c g_c - N_c log g_c     subject to  sum_c M_c g_c = sum_c N_c,
-    N_c = sum n(s, a, s') + kappa M_c / M,     M_c = sum n(s, a) P(s' | s, a) (1 + kappa / M),    both over entries with key c
+    N_c = sum n(s, a, s') + kappa M_c / M,
+    M_c = sum n(s, a) P(s' | s, a) (1 + kappa / M),   both over entries with key c
 
 for each group of keys that occur together in rows, M the group's total of n(s, a);
 kappa transitions as the simulator makes them keep g near 1. Then zeta = g_c / sum_s' P
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -33,30 +33,35 @@ from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.features import keys_in
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import TransitionRatio
-from oee_tabular.typing import IntArray
+from oee_tabular.typing import FrameLike, IntArray, IntArrayLike
 
-Tie = Callable[[IntArray, IntArray, IntArray], Any]
+TieLike: TypeAlias = (
+    IntArrayLike | FrameLike | Callable[[IntArray, IntArray, IntArray], IntArrayLike]
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Tied(Method):
-    """zeta from pooled counts: one number for all entries with the same key, then each
-    row of zeta * P scaled to sum to 1.
+    """Ratio from pooled counts: one number for all transitions with the same key.
+
+    Each row of zeta * P is then scaled to sum to 1.
 
     Parameters
     ----------
-    tie : array of integers, one for each entry of ``simulator.transitions.data``; or a
-        function of the arrays (s, a, s') of all entries that returns one; or a data
-        frame with columns state, action, next_state (numbers or the simulator's names)
-        and one of keys
-    strength : kappa >= 0, how many transitions the simulator is worth in each group of
-        keys
+    tie : array-like of int, data frame or callable
+        The keys: an array of integers, one for each entry of
+        ``simulator.transitions.data`` or of shape (S, A, S); a function of the arrays
+        (s, a, s') of all entries that returns one; or a data frame with columns state,
+        action, next_state (numbers or the simulator's names) and one of keys.
+    strength : float, default 3.0
+        Number of transitions kappa >= 0 that the simulator is worth in each group of
+        keys.
 
     Raises
     ------
     ValueError
-        Keys of another length or not integers; a negative strength; transitions outside
-        the simulator's support.
+        If keys are of another length or not integers, if the strength is negative, or
+        if transitions are outside the simulator's support.
 
     Notes
     -----
@@ -84,25 +89,22 @@ class Tied(Method):
     (20, True, True)
     """
 
-    tie: Tie | Any = field(default=None, repr=False)
-    strength: float | str = 3.0
+    tie: TieLike | None = field(default=None, repr=False)
+    strength: float = 3.0
 
     def __post_init__(self) -> None:
+        """Check the options."""
         if self.tie is None:
             raise ArgumentError(
                 "tie",
                 "must be given with method 'tied': a key for each entry, or a function"
                 " of (s, a, s')",
             )
-        if isinstance(self.strength, str):
-            raise ArgumentError(
-                "strength",
-                "must be a number with method 'tied'; got"
-                f" {_checks.show(self.strength)}",
-            )
+        _refuse_words(self.strength)
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
+        """Solve the pooled programs and scale each row."""
         observed = given.observed
         simulator = given.simulator
         kappa = float(self.strength)
@@ -112,14 +114,14 @@ class Tied(Method):
         visits = rows.sums(observed)
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
-        seen = np.bincount(keys, observed, n_keys)
-        foreseen = np.bincount(keys, expected, n_keys)
+        pooled_observed = np.bincount(keys, observed, n_keys)
+        pooled_expected = np.bincount(keys, expected, n_keys)
         n_groups, group = _groups(rows, keys, n_keys)
-        known = np.flatnonzero(foreseen > 0)
+        known = np.flatnonzero(pooled_expected > 0)
         known = known[np.argsort(group[known], kind="stable")]
-        size = np.bincount(group, foreseen, n_groups)[group[known]]
-        share = foreseen[known] / size
-        p = (seen[known] + kappa * share) / (size + kappa)
+        size = np.bincount(group, pooled_expected, n_groups)[group[known]]
+        share = pooled_expected[known] / size
+        p = (pooled_observed[known] + kappa * share) / (size + kappa)
         zero = np.zeros(len(known))
         ends = np.append(np.flatnonzero(np.diff(group[known], prepend=-1)), len(known))
         fit = dual.solve_rows(Coordinates(p, share, zero, zero), 0.0, np.inf, ends)
@@ -150,9 +152,19 @@ class Tied(Method):
         )
 
 
+def _refuse_words(strength: object) -> None:
+    """Raise an error for a strength that is to be chosen on the data."""
+    if isinstance(strength, str):
+        raise ArgumentError(
+            "strength",
+            f"must be a number with method 'tied'; got {_checks.show(strength)}",
+        )
+
+
 def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
-    """Keys numbered from 0, one for each entry, from (entries,) or (S, A, S), a
-    function or a data frame.
+    """Return keys numbered from 0, one for each entry of the simulator's transitions.
+
+    ``tie`` is an array of (entries,) or (S, A, S), a function or a data frame.
     """
     if callable(tie):
         tie = tie(*rows.transitions)
@@ -173,8 +185,8 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
 
 
 def _groups(rows: Rows, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
-    """How many groups of keys occur together in rows, and the group of each key."""
-    # every row has an entry; the others of the row are joined to its first
+    """Return the number of groups of keys that share rows, and each key's group."""
+    # Every row has an entry; the other entries of the row are joined to its first.
     lead = keys[rows.indptr[:-1]]
     pairs = np.unique(rows.spread(lead) * n_keys + keys)
     joined = sparse.csr_array(

@@ -1,13 +1,14 @@
-"""The ratio of transition probabilities zeta = P_target / P_simulator (eq. 4.3) from a
-log: the front door.
+"""The ratio of transition probabilities zeta = P_target / P_simulator, from a log.
+
+``transition_ratio`` estimates it (eq. 4.3 of the paper) by any method of this package;
+``true_ratio`` computes it from two models.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
-
-from scipy import sparse
+from enum import Enum
+from typing import Any, Literal, TypeAlias, overload
 
 from oee_tabular import _checks
 from oee_tabular._sparse import align
@@ -15,18 +16,37 @@ from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.conditional import Conditional
+from oee_tabular.ratio.conditional import Conditional, Prior, RidgeLike
+from oee_tabular.ratio.features import FeaturesLike, KernelLike
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
+from oee_tabular.ratio.network import Network
+from oee_tabular.ratio.prior.strength import Criterion
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
+from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
-from oee_tabular.ratio.ties import Tied
-from oee_tabular.typing import PolicyLike, Seed
+from oee_tabular.ratio.ties import Tied, TieLike
+from oee_tabular.typing import PolicyLike, RealArrayLike, Seed, SparseLike
+
+MethodName: TypeAlias = Literal[
+    "conditional", "tied", "linear", "kernel", "ratio_of_ratios", "joint"
+]
+
+
+class _Default(Enum):
+    """Mark an option that is left out although None is one of its values."""
+
+    LEFT_OUT = "left out"
+
+    def __repr__(self) -> str:
+        """Return a text that reads well in a signature."""
+        return "<left out>"
+
 
 # What a method's name stands for: a class, those of its fields that are no options, and
-# those that the name settles
+# those whose value the name implies.
 METHODS: dict[str, tuple[Any, set[str], dict[str, Any]]] = {
     "conditional": (Conditional, set(), {}),
     "tied": (Tied, set(), {}),
@@ -41,73 +61,188 @@ OPTIONS = {
 }
 
 
-def method_named(name: str, **options: Any) -> Method:
-    """The method object that a name and options stand for; an option of None is one
-    left out, but for ``toward``.
+def method_named(name: str, **options: object) -> Method:
+    """Return the method object that a name and options stand for.
+
+    An option of None is one left out, but for ``toward``.
 
     >>> method_named("linear", features=[1.0, 2.0])
     InClass(kernel=None, bandwidth=1.0, n_centers=200, lower=None, upper=None, ridge=None, solver='dual')
     """
     _checks.one_of(name, "method", tuple(METHODS))
-    make, _, settled = METHODS[name]
-    known = sorted(set().union(*OPTIONS.values()))
-    given = {
-        option: value
-        for option, value in options.items()
-        if value is not None or option == "toward"
-    }
+    make, _, implied = METHODS[name]
+    given = _options_given(options)
     for option, value in given.items():
-        if option not in known:
-            raise TypeError(
-                f"{option} must be an option of a method: {', '.join(known)}; got"
-                f" {_checks.show(value)}"
-            )
         if option not in OPTIONS[name]:
             raise ArgumentError(
                 option,
                 f"must not be given with method {name!r}, which does not use it; got"
                 f" {_checks.show(value)}",
             )
-    made: Method = make(**{**settled, **given})
+    made: Method = make(**{**implied, **given})
     return made
 
 
+def _options_given(options: dict[str, object]) -> dict[str, object]:
+    """Return the options that are not left out."""
+    return {
+        name: value
+        for name, value in options.items()
+        if value is not None or name == "toward"
+    }
+
+
+@overload
 def transition_ratio(
-    log_or_counts: Transitions | sparse.csr_array,
+    log_or_counts: Transitions | SparseLike,
     simulator: FiniteMDP,
     *,
-    method: str | Method = "conditional",
+    method: Method,
+    discount: float | None = ...,
+    values_of: PolicyLike | None = ...,
+    horizon: int | None = ...,
+    simulator_data: SimulatorData = ...,
+    behavior_policy: PolicyLike | None = ...,
+    seed: Seed = ...,
+) -> TransitionRatio: ...
+
+
+@overload
+def transition_ratio(
+    log_or_counts: Transitions | SparseLike,
+    simulator: FiniteMDP,
+    *,
+    method: MethodName = ...,
+    discount: float | None = ...,
+    values_of: PolicyLike | None = ...,
+    horizon: int | None = ...,
+    simulator_data: SimulatorData = ...,
+    behavior_policy: PolicyLike | None = ...,
+    seed: Seed = ...,
+    prior: Prior | None = ...,
+    strength: float | Criterion | None = ...,
+    features: FeaturesLike | None = ...,
+    tie: TieLike | None = ...,
+    kernel: KernelLike | None = ...,
+    coordinates: RealArrayLike | None = ...,
+    bandwidth: float | None = ...,
+    n_centers: int | None = ...,
+    lower: float | None = ...,
+    upper: float | None = ...,
+    ratio_lower: float | None = ...,
+    ratio_upper: float | None = ...,
+    ridge: RidgeLike | None = ...,
+    toward: float | None = ...,
+    normalized: bool | None = ...,
+    solver: str | Sgd | None = ...,
+    data: SimulatorData = ...,
+    functions: Network | None = ...,
+) -> TransitionRatio: ...
+
+
+def transition_ratio(
+    log_or_counts: Transitions | SparseLike,
+    simulator: FiniteMDP,
+    *,
+    method: MethodName | Method = "conditional",
     discount: float | None = None,
-    values_of: object = None,
+    values_of: PolicyLike | None = None,
     horizon: int | None = None,
     simulator_data: SimulatorData = None,
     behavior_policy: PolicyLike | None = None,
     seed: Seed = None,
-    **options: object,
+    prior: Prior | None = None,
+    strength: float | Criterion | None = None,
+    features: FeaturesLike | None = None,
+    tie: TieLike | None = None,
+    kernel: KernelLike | None = None,
+    coordinates: RealArrayLike | None = None,
+    bandwidth: float | None = None,
+    n_centers: int | None = None,
+    lower: float | None = None,
+    upper: float | None = None,
+    ratio_lower: float | None = None,
+    ratio_upper: float | None = None,
+    ridge: RidgeLike | None = None,
+    toward: float | Literal[_Default.LEFT_OUT] | None = _Default.LEFT_OUT,
+    normalized: bool | None = None,
+    solver: str | Sgd | None = None,
+    data: SimulatorData = None,
+    functions: Network | None = None,
 ) -> TransitionRatio:
     """Estimate zeta(s, a, s') = P_target / P_simulator from a log of the target.
 
     Parameters
     ----------
-    log_or_counts : Transitions, or csr of counts of shape (S*A, S)
+    log_or_counts : Transitions or sparse array of shape (S*A, S)
+        A log of the target, or the counts of its transitions, row s*A + a and column
+        s'.
     simulator : FiniteMDP
-    method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel"
-        | "ratio_of_ratios" | "joint", or an object with its options: ``Conditional``,
-        ``Tied``, ``InClass``, ``Quotient``, ``Joint`` (``oee.ratio``)
-    discount : weight each transition by discount^timestep, as the paper's discounted d
-        does, on both sides (default: 1)
-    values_of : (S, A), or a list of such
+        The model whose transition probabilities stand in the denominator.
+    method : str or Method, default 'conditional'
+        One of 'conditional', 'tied' (also where ``tie`` is given), 'linear', 'kernel',
+        'ratio_of_ratios' and 'joint', with the options below; or an object that has its
+        options: ``Conditional``, ``Tied``, ``InClass``, ``Quotient``, ``Joint``
+        (``oee.ratio``).
+    discount : float, optional
+        Weight of each transition by discount^timestep, as the paper's discounted d
+        does, on both sides. None weights all transitions by 1.
+    values_of : (S, A) policy, or list of policies, optional
         The policies whose values matter: r(s, a, s') + gamma V(s') of each in the
-        simulator is a direction of ``Conditional``'s prior "ridge"; with another prior
-        it is an error
-    horizon : of these values; None: the infinite sum. Only with ``values_of``
-    simulator_data : ``Quotient`` and ``Joint`` (which uses its d(s, a) alone)
-        A log of the simulator; None: one of the target log's size is sampled under its
-        estimated behaviour policy, with ``seed``; "exact": the simulator's exact
-        occupancy under that policy
-    behavior_policy : (S, A), instead of the estimated one; ``Quotient`` and ``Joint``
-    seed : of the simulator's data, if they are sampled, and of Algorithm 1's batches
-    options : of the method, if it is given by name; each class explains its own
+        simulator is a direction of ``Conditional``'s prior 'ridge'. It is an error with
+        another prior.
+    horizon : int, optional
+        Number of rewards in these values; None means the infinite discounted sum. Only
+        with ``values_of``.
+    simulator_data : Transitions, 'exact' or None, optional
+        Data of the simulator for ``Quotient`` and ``Joint`` (which uses its d(s, a)
+        alone). None samples a log of the target log's size under its estimated
+        behaviour policy, with ``seed``; 'exact' is the simulator's exact occupancy
+        under that policy.
+    behavior_policy : (S, A) policy, optional
+        Behaviour policy of the simulator's data, instead of the estimated one, for
+        ``Quotient`` and ``Joint``.
+    seed : int, Generator or None, optional
+        Seed of the simulator's data, if they are sampled, and of Algorithm 1's batches.
+    prior : {'ridge', 'tilt', 'simulator', 'none'}, optional
+        Option of ``Conditional``. An option of None is left out: the method's class has
+        the default.
+    strength : float, 'evidence' or 'loo', optional
+        Option of ``Conditional`` and ``Tied`` (there a number).
+    features : array-like, data frame or callable, optional
+        Option of ``Conditional`` and ``InClass``.
+    tie : array-like of int, data frame or callable, optional
+        Option of ``Tied``.
+    kernel : 'gaussian' or callable, optional
+        Option of method 'kernel' (``InClass``).
+    coordinates : array-like of shape (S,) or (S, c), optional
+        Option of method 'kernel' (``InClass``).
+    bandwidth : float, optional
+        Option of method 'kernel' (``InClass``).
+    n_centers : int, optional
+        Option of method 'kernel' (``InClass``).
+    lower : float, optional
+        Option of all methods but ``Tied``: on zeta, of ``Quotient`` and ``Joint`` on
+        each beta.
+    upper : float, optional
+        Option of all methods but ``Tied``, as ``lower``.
+    ratio_lower : float, optional
+        Option of ``Joint``.
+    ratio_upper : float, optional
+        Option of ``Joint``.
+    ridge : float, callable, 'evidence' or 'loo', optional
+        Option of all methods but ``Tied``; the words are ``Conditional``'s alone.
+    toward : float or None, optional
+        Option of ``Conditional`` and ``Quotient``, for which None is a value of its own
+        (the paper's I(g)^2 = sum g^2).
+    normalized : bool, optional
+        Option of ``Quotient``.
+    solver : str or Sgd, optional
+        Option of all methods but ``Tied``; ``Sgd`` is ``Quotient``'s alone.
+    data : Transitions or 'exact', optional
+        Option of ``Quotient`` and ``Joint``, goes before ``simulator_data``.
+    functions : Network, optional
+        Option of ``Conditional`` and ``Quotient``.
 
     Returns
     -------
@@ -118,10 +253,19 @@ def transition_ratio(
     Raises
     ------
     ValueError
-        A transition with simulator probability 0 (named); an option that the method
-        does not have; bad options.
+        If a transition has simulator probability 0 (it is named), if the method does
+        not have an option that is given, or if an option is out of its range.
     TypeError
-        An option that no method has.
+        If an option is given beside a method object.
+
+    See Also
+    --------
+    true_ratio : The exact ratio of two models.
+    density_ratio : The same program for two distributions.
+
+    Notes
+    -----
+    The class of each method explains its options, its limit and its cost.
 
     Examples
     --------
@@ -135,28 +279,58 @@ def transition_ratio(
     >>> bool(abs(paper.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05)
     True
     """
+    options: dict[str, object] = {
+        "prior": prior,
+        "strength": strength,
+        "features": features,
+        "tie": tie,
+        "kernel": kernel,
+        "coordinates": coordinates,
+        "bandwidth": bandwidth,
+        "n_centers": n_centers,
+        "lower": lower,
+        "upper": upper,
+        "ratio_lower": ratio_lower,
+        "ratio_upper": ratio_upper,
+        "ridge": ridge,
+        "normalized": normalized,
+        "solver": solver,
+        "data": data,
+        "functions": functions,
+    }
+    if not isinstance(toward, _Default):
+        options["toward"] = toward
     if isinstance(method, Method):
-        if options:
+        given = _options_given(options)
+        if given:
             raise TypeError(
-                f"{next(iter(options))} must be given to the method object; the method"
+                f"{next(iter(given))} must be given to the method object; the method"
                 f" is {method!r}"
             )
         chosen = method
     else:
-        pooled = method == "conditional" and options.get("tie") is not None
-        chosen = method_named("tied" if pooled else method, **options)
-    inputs: dict[str, Any] = {
-        "values_of": values_of,
-        "horizon": horizon,
-        "simulator_data": simulator_data,
-        "behavior_policy": behavior_policy,
-    }
-    chosen.refuse_unused(**inputs)
+        is_tied = method == "conditional" and tie is not None
+        chosen = method_named("tied" if is_tied else method, **options)
+    chosen.refuse_unused(
+        values_of=values_of,
+        horizon=horizon,
+        simulator_data=simulator_data,
+        behavior_policy=behavior_policy,
+    )
     if horizon is not None and values_of is None:
         raise ArgumentError(
             "horizon", "must be left out without values_of: it is that of the values"
         )
-    return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **inputs)
+    return chosen.fit(
+        log_or_counts,
+        simulator,
+        discount=discount,
+        values_of=values_of,
+        horizon=horizon,
+        simulator_data=simulator_data,
+        behavior_policy=behavior_policy,
+        seed=seed,
+    )
 
 
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
@@ -164,12 +338,26 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
 
     Parameters
     ----------
-    target, simulator : FiniteMDP, of the same states and actions
+    target : FiniteMDP
+        The model whose transition probabilities stand in the numerator.
+    simulator : FiniteMDP
+        The model whose transition probabilities stand in the denominator, of the same
+        states and actions.
+
+    Returns
+    -------
+    TransitionRatio
+        The exact ratio on the simulator's transitions, with a gap of 0.
 
     Raises
     ------
     ValueError
-        The target has transitions outside that support; names them.
+        If the target has transitions to which the simulator gives probability 0; the
+        most frequent are named.
+
+    See Also
+    --------
+    transition_ratio : The ratio from a log of the target.
 
     Examples
     --------

@@ -1,5 +1,4 @@
-"""Loops of the tilt: rows along all directions, Newton's method for its risk f,
-MacKay's rule for its strengths.
+"""Kernels of the tilt: its rows, Newton's method for its risk, and its strengths.
 
 A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in column
 d_1 + ``code`` (no one where the code is -1). The parameters are theta (1 + A, d): those
@@ -15,14 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-N_NEWTON = 50  # steps at most
-ROUND_TOLERANCE = 1e-5  # of f, in the rounds before the last: strengths need no more
-LARGEST_STRENGTH = 1e6  # of a group that is as good as out
-HYPERPRIOR = 0.25  # parameters that the prior of a strength is worth, all of them 0
+# The largest number of steps of Newton's method.
+N_NEWTON = 50
+# The relative tolerance of f in the rounds before the last: strengths need no more.
+ROUND_TOLERANCE = 1e-5
+# The strength of a group that has practically no effect.
+LARGEST_STRENGTH = 1e6
+# The number of parameters, all of them 0, that the prior of a strength is worth.
+HYPERPRIOR = 0.25
 
 
 class Columns(NamedTuple):
-    """Numbers of some rows.
+    """The columns of directions on some rows.
 
     base (entries, d_1), code (entries,), n_codes, indptr (rows + 1,), action (rows,),
     weights (entries,) the simulator's.
@@ -38,7 +41,7 @@ class Columns(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def find_codes(places, state, arrival, indptr, kinds, tolerance):
-    """(entries,) the place in ``kinds`` (k, c) of places[s'] - places[s], or -1."""
+    """Find the place of places[s'] - places[s] in ``kinds`` (k, c), or -1."""
     code = np.full(len(arrival), -1)
     for row in range(len(state)):
         for x in range(indptr[row], indptr[row + 1]):
@@ -57,8 +60,9 @@ def find_codes(places, state, arrival, indptr, kinds, tolerance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def tilt_rows(columns, theta):
-    """(entries,) rows proportional to P exp((theta_0 + theta_a) . phi), and ln Z of
-    each row.
+    """Compute the rows P exp((theta_0 + theta_a) . phi) / Z, (entries,), and ln Z.
+
+    The largest exponent of a row is subtracted first, so that exp does not overflow.
     """
     width = columns.base.shape[1]
     model = np.empty(len(columns.weights))
@@ -86,7 +90,7 @@ def tilt_rows(columns, theta):
 
 @njit(cache=True, nogil=True)
 def sum_columns(columns, values, n_actions):
-    """(A, d) the sums of values_x phi_x over each action's rows."""
+    """Sum values_x phi_x over each action's rows, (A, d)."""
     width = columns.base.shape[1]
     sums = np.zeros((n_actions, width + columns.n_codes))
     for row in range(len(columns.action)):
@@ -101,8 +105,10 @@ def sum_columns(columns, values, n_actions):
 
 @njit(cache=True, nogil=True)
 def sum_covariances(columns, model, mass, n_actions):
-    """(A, d) sums of mass E[phi] and (A, d, d) of mass Cov[phi] under ``model``, over
-    each action's rows; mass (rows,).
+    """Sum mass E[phi], (A, d), and mass Cov[phi], (A, d, d), over each action's rows.
+
+    Moments are under ``model``; mass is (rows,). Cov[phi] = E[phi phi'] - E[phi]
+    E[phi]', of which the lower triangle is summed.
     """
     width = columns.base.shape[1]
     d = width + columns.n_codes
@@ -115,6 +121,7 @@ def sum_covariances(columns, model, mass, n_actions):
             continue
         own = covariances[columns.action[row]]
         n_used = width  # the columns of the base, then the codes that the row has
+        # mass E[phi phi'] of the row, and mass E[phi] into ``mean``.
         for x in range(columns.indptr[row], columns.indptr[row + 1]):
             share = mass[row] * model[x]
             code = columns.code[x]
@@ -133,6 +140,7 @@ def sum_covariances(columns, model, mass, n_actions):
                     n_used += 1
                 mean[width + code] += share
                 own[width + code, width + code] += share
+        # Less mass E[phi] E[phi]', for the columns that the row has.
         for i in range(n_used):
             for j in range(n_used):
                 if used[j] <= used[i]:
@@ -149,11 +157,11 @@ def sum_covariances(columns, model, mass, n_actions):
 
 @njit(cache=True, nogil=True)
 def invert_arrow(covariances, penalty):
-    """(A, d, d) (G_a + L_a)^-1 and (G_a + L_a)^-1 G_a, and (d, d) the inverse of their
-    Schur complement.
+    """Invert the arrow: (G_a + L_a)^-1, (G_a + L_a)^-1 G_a, and the Schur complement.
 
-    The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a +
-    L_a)^-1 L_a, which does not cancel.
+    The first two are (A, d, d), the inverse of the complement is (d, d). The complement
+    is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a,
+    which does not cancel.
     """
     n_own = len(penalty) - 1
     d = penalty.shape[1]
@@ -180,7 +188,11 @@ def invert_arrow(covariances, penalty):
 
 @njit(cache=True, nogil=True)
 def solve_arrow(inverses, b):
-    """f''^-1 b, both (blocks, d)."""
+    """Solve f'' x = b by the inverted arrow, both (blocks, d).
+
+    x_0 = S^-1 (b_0 - sum_a G_a (G_a + L_a)^-1 b_a), x_a = (G_a + L_a)^-1 (b_a - G_a
+    x_0), S the Schur complement.
+    """
     inverse, gain, shared = inverses
     x = np.zeros(b.shape)
     right = b[0].copy()
@@ -203,7 +215,7 @@ def solve_arrow(inverses, b):
 
 @njit(cache=True, nogil=True)
 def invert_diagonal(inverses):
-    """(blocks, d) the diagonal of f''^-1."""
+    """Compute the diagonal of f''^-1, (blocks, d), from the inverted arrow."""
     inverse, gain, shared = inverses
     diagonal = np.empty((1 + len(inverse), len(shared)))
     for i in range(len(shared)):
@@ -219,7 +231,10 @@ def invert_diagonal(inverses):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def differentiate(columns, model, risk, theta, penalty):
-    """f' (blocks, d) and G (A, d, d) where the rows under the tilt are ``model``."""
+    """Compute f' (blocks, d) and G (A, d, d) where the tilt's rows are ``model``.
+
+    f' = L theta + sum_rows w n E[phi] - sum_x w n_x phi_x.
+    """
     mass, pulled = risk
     means, covariances = sum_covariances(columns, model, mass, len(pulled))
     gradient = penalty * theta[: len(penalty)]
@@ -233,7 +248,7 @@ def differentiate(columns, model, risk, theta, penalty):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def penalized_risk(columns, risk, theta, penalty):
-    """f, and the rows under the tilt."""
+    """Compute f and the tilt's rows, f as in the docstring of ``prior.ridge``."""
     mass, pulled = risk
     model, log_normalizer = tilt_rows(columns, theta)
     value = 0.0
@@ -250,10 +265,10 @@ def penalized_risk(columns, risk, theta, penalty):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def minimise(columns, risk, theta, penalty, tolerance):
-    """Newton's method with backtracking, until a step gains less than ``tolerance`` of
-    f or only rounding is left.
+    """Minimise f by Newton's method with backtracking: theta <- theta - t f''^-1 f'.
 
-    theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
+    It ends when a step gains less than ``tolerance`` of f or only rounding is left.
+    Returns theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
     """
     value, model = penalized_risk(columns, risk, theta, penalty)
     last = np.inf
@@ -274,8 +289,9 @@ def minimise(columns, risk, theta, penalty, tolerance):
         if not decrement > tolerance * size or 1e-12 * size > decrement > 0.25 * last:
             break
         last = decrement
-        # what rounding may add to a fall that it hides
+        # Rounding may hide a decrease of f that is this small.
         slack = 1e-13 * size if decrement < 1e-9 * size else 0.0
+        # The step is halved until f decreases enough.
         length = 2.0
         trial = np.inf
         while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
@@ -295,8 +311,10 @@ def minimise(columns, risk, theta, penalty, tolerance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_strengths(theta, inverses, penalty, scale, group, n_groups):
-    """(2, groups) MacKay's lambda of each group of columns, for all actions and for
-    each action alone.
+    """Compute MacKay's lambda of each group of columns, (2, groups).
+
+    lambda_g = [c + sum_j (1 - L_j (f''^-1)_jj)] / sum_j (s_j theta_j)^2, for all
+    actions and for each action alone.
     """
     diagonal = invert_diagonal(inverses)
     told = np.full((2, n_groups), HYPERPRIOR)
@@ -317,7 +335,7 @@ def update_strengths(theta, inverses, penalty, scale, group, n_groups):
 
 @njit(cache=True, nogil=True)
 def spread_strengths(strengths, scale, group):
-    """(blocks, d) L = lambda s^2 of each column."""
+    """Compute the penalty L = lambda s^2 of each column, (blocks, d)."""
     penalty = np.empty(scale.shape)
     for block in range(len(scale)):
         for j in range(len(group)):
@@ -329,8 +347,10 @@ def spread_strengths(strengths, scale, group):
 
 @njit(cache=True, nogil=True)
 def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
-    """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f
-    less its minimum.
+    """Fit theta and the strengths by ``n_rounds`` of MacKay's rule.
+
+    Each round minimises f and then updates the strengths. Returns theta, the strengths,
+    G, and the bound on f less its minimum.
     """
     for left in range(n_rounds, -1, -1):
         penalty = spread_strengths(strengths, scale, group)

@@ -1,22 +1,26 @@
-"""Directions in which a target may differ from the simulator, made from the simulator,
-the policies and the user's features.
+"""Directions in which a target may differ from the simulator.
 
-A direction is a function phi(s, a, s'). They come in groups, each with the changes of
-environment that it stands for:
+They are made from the simulator, the policies and the user's features. A direction is a
+function phi(s, a, s'). They come in groups, each with the changes of environment that
+it stands for::
 
-log P        log P and (log P)^2: all noise a little less or more than simulated
-V            r(s, a, s') + gamma V_pi(s') in the simulator: everything a little worse.
-Small misfits of many rows add up to an
-             error of J along this direction alone, since J's derivative in P(s' | s, a) is d(s, a) times it
-steps        indicators of the most frequent displacements, in ``layout`` or in the
-states' numbers: an event (an arrival, a
-             slip to the left) that is more frequent than simulated
-log P at s   log P times the coordinates of s: a floor that is more slippery on one side
-drift        the displacement itself, one direction a coordinate: a wind, a weaker motor
-drift at s   the displacement times the coordinates of s: a wind that blows in one half,
-a motor that fades features     the user's own
+    log P         log P and (log P)^2: all noise a little less or more than simulated
+    V             r(s, a, s') + gamma V_pi(s') in the simulator: everything a little
+                  worse. Small misfits of many rows add up to an error of J along this
+                  direction alone, since J's derivative in P(s' | s, a) is d(s, a)
+                  times it
+    steps         indicators of the most frequent displacements, in ``layout`` or in
+                  the states' numbers: an event (an arrival, a slip to the left) that
+                  is more frequent than simulated
+    log P at s    log P times the coordinates of s: a floor that is more slippery on
+                  one side
+    drift         the displacement itself, one direction a coordinate: a wind, a
+                  weaker motor
+    drift at s    the displacement times the coordinates of s: a wind that blows in
+                  one half, a motor that fades
+    features      the user's own
 
-Each is there for all actions together, and for each action alone.
+Each direction exists for all actions together, and for each action alone.
 """
 
 from __future__ import annotations
@@ -35,32 +39,43 @@ from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displ
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
 from oee_tabular.typing import Array, IntArray
 
-N_STEPS = 24  # displacements that are directions of their own
-# coordinates up to which each displacement is multiplied by each coordinate of s;
-# beyond, by its own
-ALL_PAIRS = 4
-
+# The largest number of displacements that are directions of their own.
+MAX_STEP_DIRECTIONS = 24
+# Up to this number of coordinates each displacement is multiplied by each coordinate of
+# s; beyond, by its own.
+MAX_COORDINATES_OF_ALL_PRODUCTS = 4
 
 GROUPS = ("log P", "log P at s", "drift", "drift at s", "features", "V", "steps")
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The columns of any rows.
+    """Directions, with their columns at any rows.
 
     Attributes
     ----------
-    names : (d,) of the columns; ``group`` : (d,) their places in ``GROUPS``
+    names : tuple of str
+        Names of the d columns.
+    group : ndarray of int of shape (d,)
+        Places of the columns' groups in ``GROUPS``.
     simulator : FiniteMDP
-    powers : how many powers of log P
-    places : (S, c) the coordinates of the states, standardised; ``steps`` : (k, c) the
-        displacements with a column of their own
-    features : (entries, f) the user's
-    ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
-    rewards : (entries,) r(s, a, s') in the same scale, or None
-    without : the directions that no policy changes; None of themselves
-    keys : (entries,) in place of ``steps``: transitions of one key have a column of
-        their own
+        The simulator.
+    powers : int
+        Number of powers of log P.
+    places : ndarray of shape (S, c)
+        Coordinates of the states, standardised.
+    steps : ndarray of shape (k, c)
+        The displacements with a column of their own.
+    features : ndarray of shape (entries, f)
+        The user's features.
+    ahead : ndarray of shape (S, p)
+        V of each policy, scaled to at most 1 together with the rewards.
+    rewards : ndarray of shape (entries,) or None
+        r(s, a, s') in the same scale.
+    without : Directions or None
+        The directions without V; None where there is no V.
+    keys : ndarray of int of shape (entries,) or None
+        In place of ``steps``: transitions of one key have a column of their own.
     """
 
     names: tuple[str, ...]
@@ -77,22 +92,20 @@ class Directions:
     _kept: dict[int, tuple[Rows, Columns]] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
+        """Return the state to be pickled, without stored columns."""
         return vars(self) | {"_kept": {}}
 
     def columns(self, rows: Rows) -> Columns:
-        """The columns at the entries of ``rows``, each but the indicators less its mean
-        in its row under the simulator.
+        """Return the columns at the entries of ``rows``.
 
-        Those of a small simulator are kept.
+        Each column, except the indicators, is less its mean in its row under the
+        simulator. Those of a small simulator are stored.
         """
         if self.without is not None:
             base, *rest = self.without.columns(rows)
             ahead = self.simulator.discount * self.ahead[rows.arrival]
-            ahead = (
-                ahead
-                if self.rewards is None
-                else ahead + self.rewards[rows.entries][:, None]
-            )
+            if self.rewards is not None:
+                ahead = ahead + self.rewards[rows.entries][:, None]
             return Columns(np.concatenate([base, rows.center(ahead)], axis=1), *rest)
         kept = self._kept.get(id(rows))
         if kept is None:
@@ -102,14 +115,13 @@ class Directions:
         return kept[1]
 
     def _columns(self, rows: Rows) -> Columns:
-        """All but V."""
+        """Compute all columns but V's."""
         logs = np.log(rows.weights)
         parts = [logs[:, None], (logs * logs)[:, None]][: self.powers]
-        code = (
-            np.full(len(rows.arrival), -1)
-            if self.keys is None
-            else self.keys[rows.entries]
-        )
+        if self.keys is None:
+            code = np.full(len(rows.arrival), -1)
+        else:
+            code = self.keys[rows.entries]
         if self.places.shape[1]:
             start = rows.spread(self.places[rows.state])
             drift = self.places[rows.arrival] - start
@@ -131,36 +143,43 @@ class Directions:
 
 
 def _products(drift: Array, start: Array) -> Array:
-    """Displacements times coordinates of s, (entries, c c); (entries, c) where there
-    are more than ``ALL_PAIRS``.
+    """Multiply displacements by coordinates of s, (entries, c c).
+
+    With many coordinates each displacement is multiplied by its own, (entries, c).
     """
-    own = drift.shape[1] > ALL_PAIRS
-    return np.asarray(
-        drift * start
-        if own
-        else (drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1)
-    )
+    if drift.shape[1] > MAX_COORDINATES_OF_ALL_PRODUCTS:
+        return np.asarray(drift * start)
+    products = drift[:, :, None] * start[:, None, :]
+    return np.asarray(products.reshape(len(drift), -1))
 
 
 def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Directions:
-    """Directions of all groups but V.
+    """Make the directions of all groups but V.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    visited : the rows with data, in which displacements are counted
-    features : (entries, f), f = 0 without any
+        The simulator.
+    visited : Rows
+        The rows with data, in which displacements are counted.
+    features : ndarray of shape (entries, f)
+        The user's features, f = 0 without any.
+
+    Returns
+    -------
+    Directions
+        The directions.
 
     Notes
     -----
-    O(c nnz log nnz) for displacements in c coordinates.
+    Cost: O(c nnz log nnz) for displacements in c coordinates.
     """
     places, size = _standard_places(simulator)
     drift = places[visited.arrival] - visited.spread(places[visited.state])
     kinds, kind = distinct_rows(round_displacements(drift))
     mass = np.bincount(kind, weights=visited.weights) / len(visited)
     steps = np.ascontiguousarray(
-        kinds[np.argsort(-np.round(mass, 12), kind="stable")[:N_STEPS]]
+        kinds[np.argsort(-np.round(mass, 12), kind="stable")[:MAX_STEP_DIRECTIONS]]
     )
     n_products = _products(drift[:1], places[:1]).shape[1]
     names: tuple[list[str], ...] = (
@@ -170,20 +189,23 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
         [f"drift at s {k}" for k in range(n_products)],
         [f"feature {k}" for k in range(features.shape[1])],
         [],
-        [
-            "step"
-            f" ({', '.join(f'{x:+.4g}' if abs(x) > 1e-9 else '0' for x in step * size)})"
-            for step in steps
-        ],
+        [_step_name(step * size) for step in steps],
     )
     return _directions(names, simulator, places, steps, features)
+
+
+def _step_name(displacement: Array) -> str:
+    """Return the name of a displacement's direction."""
+    shown = [f"{x:+.4g}" if abs(x) > 1e-9 else "0" for x in displacement]
+    return f"step ({', '.join(shown)})"
 
 
 def own_directions(
     simulator: FiniteMDP, features: Array | None = None, keys: IntArray | None = None
 ) -> Directions:
-    """The user's features alone, (entries, f), or a direction for each key, (entries,)
-    from 0; log P without either.
+    """Make directions of the user's features, or one for each key; else log P.
+
+    Features are (entries, f); keys are (entries,) integers from 0.
     """
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
     n_keys = 0 if keys is None else int(keys.max()) + 1
@@ -192,9 +214,8 @@ def own_directions(
     own = [f"feature {k}" for k in range(given.shape[1])]
     names = (powers, none, none, none, own, none, [f"key {k}" for k in range(n_keys)])
     nowhere = np.zeros((simulator.n_states, 0))
-    return replace(
-        _directions(names, simulator, nowhere, np.zeros((n_keys, 0)), given), keys=keys
-    )
+    steps = np.zeros((n_keys, 0))
+    return replace(_directions(names, simulator, nowhere, steps, given), keys=keys)
 
 
 def _directions(
@@ -204,7 +225,7 @@ def _directions(
     steps: Array,
     features: Array,
 ) -> Directions:
-    """Directions with the columns ``names`` of each group."""
+    """Return directions with the columns ``names`` of each group, without V."""
     group = np.repeat(np.arange(len(GROUPS)), [len(own) for own in names])
     columns = tuple(itertools.chain(*names))
     nothing_ahead = np.zeros((simulator.n_states, 0))
@@ -214,22 +235,20 @@ def _directions(
 
 
 def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
-    """The directions, and V of each policy whose value matters, ``values`` (S,) in the
-    simulator.
+    """Add V of each policy whose value matters to directions.
+
+    ``values`` are the policies' state values in the simulator, each (S,).
     """
     simulator = directions.simulator
     ahead = np.stack(values, axis=1)
-    pay = simulator.reward_data
-    unit = max(
-        *(float(np.abs(x).max()) for x in (ahead, ahead if pay is None else pay)),
-        1e-300,
-    )
-    rewards = None if pay is None else pay / unit
-    own = (
-        ["V"]
-        if len(values) == 1
-        else [f"V of policy {k + 1}" for k in range(len(values))]
-    )
+    rewards = simulator.reward_data
+    unit = max(float(np.abs(ahead).max()), 1e-300)
+    if rewards is not None:
+        unit = max(unit, float(np.abs(rewards).max()))
+        rewards = rewards / unit
+    own = ["V"]
+    if len(values) > 1:
+        own = [f"V of policy {k + 1}" for k in range(len(values))]
     at = len(directions.names) - len(directions.steps)
     names = (*directions.names[:at], *own, *directions.names[at:])
     group = np.insert(directions.group, at, np.full(len(own), GROUPS.index("V")))
@@ -244,15 +263,13 @@ def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
 
 
 def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
-    """The states' coordinates, or their numbers, with mean 0 and standard deviation 1
-    over the states; their units.
+    """Return the states' standardised coordinates and the coordinates' units.
+
+    Without a layout the coordinate is the state's number.
     """
-    layout = simulator.layout
-    places = (
-        np.arange(simulator.n_states, dtype=np.float64)[:, None]
-        if layout is None
-        else layout
-    )
+    places = simulator.layout
+    if places is None:
+        places = np.arange(simulator.n_states, dtype=np.float64)[:, None]
     largest = np.maximum(np.abs(places).max(axis=0), 1e-300)
     scaled = places / largest
     size = scaled.std(axis=0)
@@ -263,7 +280,7 @@ def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
 def values_in(
     simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None
 ) -> list[Array]:
-    """V_pi of each policy in the simulator, where it exists."""
+    """Compute V_pi in the simulator of each policy for which it exists."""
     values = []
     for policy in policies:
         try:

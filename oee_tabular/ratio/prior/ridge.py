@@ -1,7 +1,7 @@
-"""The rows of the prior: the simulator's rows tilted along all directions at once,
-shrunk by evidence.
+"""The tilt: the simulator's rows tilted along all directions, shrunk by evidence.
 
-    zeta(s, a, s') proportional to exp((theta_0 + theta_a) . phi(s, a, s')) in each row,   theta_gj s_gj ~ N(0, 1 / lambda_g),
+    zeta(s, a, s') proportional to exp((theta_0 + theta_a) . phi(s, a, s')) in each row,
+    theta_gj s_gj ~ N(0, 1 / lambda_g),
 
 phi the ``directions``, theta_0 for all actions and theta_a for action a alone, s_gj the
 root mean square of a column over the recorded rows, and lambda_g >= 1 one strength a
@@ -13,12 +13,14 @@ Dirichlet(kappa). n transitions of one row then tell about the tilt what n (1 + 
 + kappa) / (n + kappa). theta minimises the KL risk of the weighted counts and the
 penalty,
 
-    f(theta) = sum_rows w [n ln Z(theta) - sum_x n_x theta . phi_x] + 1/2 sum_gj lambda_g (s_gj theta_gj)^2,
+    f(theta) = sum_rows w [n ln Z(theta) - sum_x n_x theta . phi_x]
+               + 1/2 sum_gj lambda_g (s_gj theta_gj)^2,
 
 smooth and strongly convex, by Newton's method. f - min f <= sum (df / dtheta_j)^2 / (2
 lambda_j s_j^2) certifies it. The strengths maximise the evidence by MacKay's rule [2],
 
-    lambda_g <- [c + sum_{j in g} (1 - lambda_g s_j^2 (f''^-1)_jj)] / sum_{j in g} (s_j theta_j)^2,
+    lambda_g <- [c + sum_{j in g} (1 - lambda_g s_j^2 (f''^-1)_jj)]
+                / sum_{j in g} (s_j theta_j)^2,
 
 within [1, 1e6], where c = 1/4 is the hyperprior lambda^(c/2 - 1). With c = 0, which is
 MacKay's rule, 1/4 and 1 the error where the simulator is right is about .5, .4 and .2
@@ -60,25 +62,30 @@ from oee_tabular.ratio.prior.directions import GROUPS, Directions
 from oee_tabular.ratio.statements import TiltProgram
 from oee_tabular.typing import Array
 
-# of MacKay's rule, for kappa around the first rows, then for kappa around the tilt;
-# more change nothing
-ROUNDS = 6, 3
+# The numbers of rounds of MacKay's rule, for kappa around the first rows, then for
+# kappa around the tilt; more rounds change nothing.
+N_ROUNDS = (6, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """A fitted tilt.
+    """A fitted tilt of the simulator's rows.
 
     Attributes
     ----------
     directions : Directions
-    theta : (1 + A, d), in the directions' units; the rows of actions are 0 where there
-        are none
-    covariances : (A, d, d) G; penalty : (blocks, d) L, blocks = 1 where no action has
-        parameters of its own
-    strengths : (2, groups) lambda of each group, for all actions and for each action
-        alone
-    gap : bound on f less its minimum, divided by the number of transitions (nats)
+        The directions.
+    theta : ndarray of shape (1 + A, d)
+        The parameters, in the directions' units; the rows of actions are 0 where
+        actions have no parameters of their own.
+    covariances : ndarray of shape (A, d, d)
+        G, the weighted covariances of the directions over each action's rows.
+    penalty : ndarray of shape (blocks, d)
+        L, the penalty's diagonal; blocks = 1 where no action has parameters of its own.
+    strengths : ndarray of shape (2, groups)
+        lambda of each group, for all actions and for each action alone.
+    gap : float
+        A bound on f less its minimum, divided by the number of transitions (nats).
     """
 
     directions: Directions
@@ -89,31 +96,32 @@ class Tilt:
     gap: float
 
     def at(self, rows: Rows) -> Array:
-        """(entries,) the tilted rows."""
+        """Return the tilted rows, (entries,)."""
         return np.asarray(tilt_rows(self.directions.columns(rows), self.theta)[0])
 
     def pull(self, rows: Rows, values: Array) -> Array:
-        """(A, d) over each action's rows, the sums of values_x d log zeta_x / d theta."""
+        """Sum values_x d log zeta_x / d theta over each action's rows, (A, d)."""
         columns = self.directions.columns(rows)
         model, _ = tilt_rows(columns, self.theta)
         rest = values - rows.spread(rows.sums(values)) * model
         return np.asarray(sum_columns(columns, rest, len(self.theta) - 1))
 
     def named_theta(self) -> dict[str, float]:
-        """theta of each direction, in its units: for all actions, then for each action
-        alone.
+        """Return theta of each direction by name, in the direction's unit.
+
+        First the parameters of all actions, then those of each action alone.
         """
         names = self.directions.names
         named = dict(zip(names, self.theta[0].tolist(), strict=True))
         for action in range(len(self.penalty) - 1):
             named |= {
-                f"{n}, action {action}": float(x)
-                for n, x in zip(names, self.theta[1 + action], strict=True)
+                f"{name}, action {action}": float(value)
+                for name, value in zip(names, self.theta[1 + action], strict=True)
             }
         return named
 
     def named_strengths(self) -> dict[str, tuple[float, float]]:
-        """lambda of each group, for all actions and for each action alone."""
+        """Return lambda of each group, for all actions and for each action alone."""
         both = zip(GROUPS, *self.strengths.tolist(), strict=True)
         present = set(self.directions.group.tolist())
         return {
@@ -123,15 +131,13 @@ class Tilt:
         }
 
     def variance(self, pull: Array) -> float:
-        """Posterior variance of a value whose derivative in the log rows ``pull`` sums:
-        p' f''^-1 p.
+        """Compute the posterior variance p' f''^-1 p of a value.
+
+        ``pull`` (A, d) is the value's derivative p in the parameters (``Tilt.pull``).
         """
         both = np.concatenate([pull.sum(axis=0)[None], pull[: len(self.penalty) - 1]])
-        return float(
-            np.sum(
-                both * solve_arrow(invert_arrow(self.covariances, self.penalty), both)
-            )
-        )
+        inverses = invert_arrow(self.covariances, self.penalty)
+        return float(np.sum(both * solve_arrow(inverses, both)))
 
 
 def fit_ridge(
@@ -144,18 +150,32 @@ def fit_ridge(
     start: Tilt | None = None,
     solver: str = "dual",
 ) -> Tilt:
-    """Fit theta and the strengths to counts.
+    """Fit the parameters theta and the strengths of a tilt to counts.
 
     Parameters
     ----------
     directions : Directions
-    rows : those that the log has recorded; counts : (entries,) theirs
-    choose_kappa : (rows,) kappa around given rows (entries,); None: every transition
-        counts once, rows have no misfits
-    by_evidence : whether each group has its strength by evidence, and directions for
-        each action alone; else all are 1
-    start : a fit to the same counts along these directions without V, to go on from
-    solver : "dual", or a cvxpy solver for theta at the strengths that were found
+        The directions.
+    rows : Rows
+        The recorded rows.
+    counts : ndarray of shape (entries,)
+        Counts on the entries of these rows.
+    choose_kappa : callable or None
+        The function that takes rows, (entries,), and returns kappa around them,
+        (rows,). None means that every transition counts once: rows have no misfits.
+    by_evidence : bool, default True
+        Whether each group has its strength by evidence, and directions for each action
+        alone; else all strengths are 1.
+    start : Tilt, optional
+        A fit to the same counts along these directions without V, to start from.
+    solver : str, default 'dual'
+        'dual', or the name of a cvxpy solver for theta at the strengths that were
+        found.
+
+    Returns
+    -------
+    Tilt
+        The fitted tilt.
 
     Notes
     -----
@@ -170,12 +190,12 @@ def fit_ridge(
     strengths = np.ones((2, len(GROUPS)))
     model = rows.weights
     n = rows.sums(counts)
-    rounds = ROUNDS if by_evidence else (0,)
+    rounds: tuple[int, ...] = N_ROUNDS if by_evidence else (0,)
     if start is not None:
         theta[:, directions.group != GROUPS.index("V")] = start.theta
         strengths = start.strengths.copy()
         model = start.at(rows)
-        rounds = ROUNDS[:1]
+        rounds = N_ROUNDS[:1]
         strengths[:, GROUPS.index("V")] = 1.0
     for n_rounds in rounds:
         weight = np.ones(len(rows))
@@ -191,44 +211,38 @@ def fit_ridge(
     penalty = spread_strengths(strengths, scale, directions.group)
     if solver != "dual":
         theta = _solve_by_cvxpy(columns, weighted, penalty, solver, rows)
-        gradient, covariances = differentiate(
-            columns, tilt_rows(columns, theta)[0], risk, theta, penalty
-        )
+        model, _ = tilt_rows(columns, theta)
+        gradient, covariances = differentiate(columns, model, risk, theta, penalty)
         gap = 0.5 * float(np.sum(gradient**2 / penalty))
-    return Tilt(
-        directions,
-        theta,
-        covariances,
-        penalty,
-        strengths,
-        float(gap) / max(float(n.sum()), 1.0),
-    )
+    gap_per_transition = float(gap) / max(float(n.sum()), 1.0)
+    return Tilt(directions, theta, covariances, penalty, strengths, gap_per_transition)
 
 
 def _root_mean_squares(columns: Columns, rows: Rows) -> Array:
-    """(1 + A, d) s: of all rows, and of each action's, over the number of all; 1 where
-    a column tells nothing.
+    """Return the scales s of the columns over all rows and each action's, (1 + A, d).
+
+    Sums of squares are divided by the number of all rows; s is 1 where a column is
+    constant within rows.
     """
     _, squares = sum_covariances(
         columns, rows.weights, np.ones(len(rows)), rows.n_actions
     )
     own = np.diagonal(squares, axis1=1, axis2=2) / len(rows)
     mean = np.concatenate([own.sum(axis=0)[None], own])
-    largest = np.concatenate(
-        [np.abs(columns.base).max(axis=0, initial=0.0), np.ones(columns.n_codes)]
-    )
-    return np.where(
-        mean > 1e-20 * np.maximum(largest, 1e-150) ** 2,
-        np.sqrt(np.maximum(mean, 0.0)),
-        1.0,
-    )
+    largest_base = np.abs(columns.base).max(axis=0, initial=0.0)
+    largest = np.concatenate([largest_base, np.ones(columns.n_codes)])
+    # A variance below the rounding of the column's square is none.
+    varies = mean > 1e-20 * np.maximum(largest, 1e-150) ** 2
+    return np.where(varies, np.sqrt(np.maximum(mean, 0.0)), 1.0)
 
 
 def _solve_by_cvxpy(
     columns: Columns, counts: Array, penalty: Array, solver: str, rows: Rows
 ) -> Array:
-    """theta by a cvxpy solver, which is handed columns of one scale: theta
-    sqrt(penalty) is as large for each.
+    """Compute theta by a cvxpy solver.
+
+    The solver gets columns divided by sqrt(penalty), so that its variables are of one
+    scale.
     """
     width = columns.base.shape[1]
     dense = np.zeros((len(counts), width + columns.n_codes))
@@ -236,13 +250,11 @@ def _solve_by_cvxpy(
     coded = np.flatnonzero(columns.code >= 0)
     dense[coded, width + columns.code[coded]] = 1.0
     action = rows.spread(rows.action)[:, None]
-    features = np.concatenate(
-        [dense, *(dense * (action == a) for a in range(len(penalty) - 1))], axis=1
-    )
+    of_actions = [dense * (action == a) for a in range(len(penalty) - 1)]
+    features = np.concatenate([dense, *of_actions], axis=1)
     root = np.sqrt(penalty).reshape(-1)
     program = TiltProgram(counts, np.log(rows.weights), features / root, rows.indptr)
     theta = np.zeros((1 + rows.n_actions, dense.shape[1]))
-    theta[: len(penalty)] = (
-        statements.solve_tilt(program, solver=solver) / root
-    ).reshape(penalty.shape)
+    scaled = statements.solve_tilt(program, solver=solver)
+    theta[: len(penalty)] = (scaled / root).reshape(penalty.shape)
     return theta

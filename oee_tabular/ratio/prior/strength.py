@@ -1,16 +1,18 @@
-"""How strongly to believe the prior: the Dirichlet strength kappa, chosen on the data.
+"""The Dirichlet strength kappa of the prior, chosen on the data.
 
 Each row of the target is a priori Dirichlet(kappa m), m the prior's row (the simulator,
 or its tilt). Two criteria, both closed in form and one-dimensional in kappa:
 
-evidence       sum_k [lnG(kappa) - lnG(kappa + n_k)] + sum_x [lnG(kappa m_x + n_x) -
-lnG(kappa m_x)]   (Polya [1]) leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k
-- 1 + kappa)]
+::
+
+    evidence       sum_k [lnG(kappa) - lnG(kappa + n_k)]
+                   + sum_x [lnG(kappa m_x + n_x) - lnG(kappa m_x)]    (Polya [1])
+    leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
 
 Rows in which the simulator has the same probabilities (in any order) are alike to it,
-and share one kappa: where a prior fits most rows and misses a few (a grid's corners),
-one kappa for all would trust it in those few as well. Kinds with fewer than five
-recorded rows or a hundred transitions are pooled. kappa is its own diagnosis: the
+and share one kappa: where a prior fits most rows and not a few others (a grid's
+corners), one kappa for all would trust it in those few as well. Kinds with fewer than
+five recorded rows or a hundred transitions are pooled. kappa is its own diagnosis: the
 number of transitions that the prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
@@ -20,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log, log1p
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numba import njit
@@ -28,12 +30,15 @@ from numba import njit
 from oee_tabular.mdp.rows import Rows, distinct_rows
 from oee_tabular.typing import Array, IntArray
 
-FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
+# The argument from which Stirling's series with four terms errs by less than 1e-13.
+FAR = 12.0
 
 
 class Counts(NamedTuple):
-    """The recorded rows: their kinds, the ends, counts and prior of their entries with
-    counts, and n of each row.
+    """The recorded rows as the kernels read them.
+
+    They have the kind and n of each row, and the ends, counts and prior of its entries
+    with counts.
     """
 
     kind: Any
@@ -45,12 +50,12 @@ class Counts(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def log_rising(base, n):
-    """ln Gamma(base + n) - ln Gamma(base), for base, n > 0, without the cancellation of
-    two large logarithms.
+    """Compute ln Gamma(base + n) - ln Gamma(base), for base, n > 0.
 
-    Both arguments are carried to at least ``FAR`` by Gamma(x + 1) = x Gamma(x); there
-    the difference of Stirling's series, (x - 1/2) ln(1 + d/x) + d ln(x + d) - d + s(x +
-    d) - s(x).
+    It avoids the cancellation of two large logarithms. For small whole n it is the
+    logarithm of base (base + 1) ... (base + n - 1). Else both arguments are carried to
+    at least ``FAR`` by Gamma(x + 1) = x Gamma(x); there the difference of Stirling's
+    series, (x - 1/2) ln(1 + d/x) + d ln(x + d) - d + s(x + d) - s(x).
     """
     x = base
     y = base + n
@@ -86,7 +91,10 @@ def log_rising(base, n):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def score_by_kind(kappa, rows, leave_one_out):
-    """The criterion of the rows' counts, summed over each kind, at kappa (kinds,)."""
+    """Sum a criterion of the rows' counts over each kind, at kappa (kinds,).
+
+    The criterion of a row is the evidence or leave-one-out formula of this module.
+    """
     score = np.zeros(len(kappa))
     for row in range(len(rows.n)):
         strength = kappa[rows.kind[row]]
@@ -107,12 +115,12 @@ def score_by_kind(kappa, rows, leave_one_out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
-    """(kinds,) ln kappa and the criterion there, and (grid, kinds) the criterion on the
-    grid of ln kappa.
+    """Maximise the criterion over ln kappa, for each kind of rows.
 
-    The best point of the grid; then the better of both sides at half the distance,
-    ``n_halvings`` times. Where the criterion is level the largest kappa is taken:
-    counts that do not tell leave the prior believed.
+    Returns ln kappa and the criterion there, both (kinds,), and the criterion on the
+    grid, (grid, kinds). It takes the best point of the grid, then the better of both
+    sides at half the distance, ``n_halvings`` times. Where the criterion is constant it
+    takes the largest kappa: counts without information do not speak against the prior.
     """
     scores = np.empty((len(grid), n_kinds))
     best = np.full(n_kinds, grid[0])
@@ -137,35 +145,48 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
     return best, value, scores
 
 
-# at least one move: few moves must not talk the evidence out of a row of the prior
-SMALLEST = 1.0
-LARGEST = 1e8
-FITS = 300.0
-FITS_ROUGHLY = 50.0
-FEWEST_ROWS = 5
-FEWEST_MOVES = 100
-CRITERIA = ("evidence", "loo")
+# The range of kappa. It is at least one transition, so that a few transitions alone
+# cannot overrule a row of the prior.
+SMALLEST_KAPPA = 1.0
+LARGEST_KAPPA = 1e8
+# The kappa from which the summary calls a prior fitting, or roughly fitting.
+KAPPA_OF_GOOD_FIT = 300.0
+KAPPA_OF_ROUGH_FIT = 50.0
+# Kinds with fewer recorded rows, or fewer transitions, are pooled.
+MIN_ROWS_OF_KIND = 5
+MIN_TRANSITIONS_OF_KIND = 100
+Criterion: TypeAlias = Literal["evidence", "loo"]
+CRITERIA: tuple[str, ...] = get_args(Criterion)
 
 
 @dataclass(frozen=True, eq=False)
 class StrengthChoice:
-    """kappa of each row, and how it was found.
+    """The chosen kappa of each row, and how it was found.
 
     Attributes
     ----------
-    by_row, by_kind : (rows,) kappa, and that of each kind of rows
-    strength : the kappa of the median transition
-    score : the criterion at ``by_row`` (nats, all transitions together)
-    criterion : "evidence" or "loo"
-    grid, curve : the criterion if all rows shared one kappa
-    kinds : for each kind of rows its number of recorded rows, of transitions, and its
-        kappa
+    by_row : ndarray of shape (rows,)
+        kappa of each row.
+    strength : float
+        kappa of the median transition.
+    score : float
+        The criterion at ``by_row`` (nats, all transitions together).
+    criterion : {'evidence', 'loo'}
+        The criterion.
+    grid : ndarray
+        The grid of kappa.
+    curve : ndarray
+        The criterion on the grid if all rows shared one kappa.
+    kinds : list of tuple
+        Number of recorded rows, number of transitions, and kappa of each kind of rows.
+    by_kind : ndarray of shape (kinds,)
+        kappa of each kind of rows.
     """
 
     by_row: Array
     strength: float
     score: float
-    criterion: str
+    criterion: Criterion
     grid: Array
     curve: Array
     kinds: list[tuple[int, int, float]]
@@ -177,20 +198,19 @@ def score(
     observed: Array,
     prior: Array,
     rows: Rows,
-    criterion: str = "evidence",
+    criterion: Criterion = "evidence",
 ) -> float:
-    """A criterion of all rows together, one kappa or one a row."""
+    """Compute a criterion of all rows together, at one kappa or one a row."""
     kappa = np.broadcast_to(np.asarray(strength, dtype=np.float64), (len(rows),)).copy()
     counts = _counts(observed, prior, rows, np.arange(len(rows)))
     return float(score_by_kind(kappa, counts, criterion == "loo").sum())
 
 
 def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
-    """The kind of each row: rows with the same probabilities in any order, kinds with
-    few recorded rows pooled.
+    """Return the kind of each row: rows with the same probabilities in any order.
 
-    Told apart by the number of entries, the largest, and the sums of squares and of
-    cubes.
+    Kinds with few recorded rows are pooled as kind 0. Rows are told apart by the number
+    of entries, the largest, and the sums of squares and of cubes.
     """
     shape = [
         rows.largest(rows.weights),
@@ -201,45 +221,43 @@ def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
     _, kind = distinct_rows(keys)
     n_row = rows.sums(observed)
     size = int(kind.max()) + 1
-    few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (
-        np.bincount(kind, n_row, size) < FEWEST_MOVES
-    )
-    return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)
+    n_recorded = np.bincount(kind[n_row > 0], minlength=size)
+    n_transitions = np.bincount(kind, n_row, size)
+    is_small = n_recorded < MIN_ROWS_OF_KIND
+    is_small |= n_transitions < MIN_TRANSITIONS_OF_KIND
+    return np.asarray(np.where(is_small[kind], 0, kind + 1), dtype=np.int64)
 
 
 def choose_strength(
     observed: Array,
     prior: Array,
     rows: Rows,
-    criterion: str = "evidence",
+    criterion: Criterion = "evidence",
     *,
     kind: IntArray | None = None,
     n_halvings: int = 5,
 ) -> StrengthChoice:
-    """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
+    """Choose the kappa in [1, 1e8] that maximises the criterion, for each kind of rows.
 
-    A grid of two a decade, then halvings of its spacing around the best point; five
-    find kappa to 2%.
-    ``kind``: the rows' kinds where they are known.
+    It searches a grid of two points a decade, then halves the spacing around the best
+    point; five halvings find kappa to 2%. ``kind`` are the rows' kinds, if they are
+    known.
     """
     kind = kinds_of_rows(observed, rows) if kind is None else kind
     n_kinds = int(kind.max()) + 1
-    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 17)
+    grid = np.linspace(np.log(SMALLEST_KAPPA), np.log(LARGEST_KAPPA), 17)
     counts = _counts(observed, prior, rows, kind)
     best, value, scores = maximise_by_kind(
         grid, counts, n_kinds, criterion == "loo", n_halvings
     )
     strength = np.exp(best)
     n_row = rows.sums(observed)
-    table = [
-        (
-            int((n_row[kind == j] > 0).sum()),
-            int(n_row[kind == j].sum()),
-            float(strength[j]),
-        )
-        for j in range(n_kinds)
-        if (n_row[kind == j] > 0).any()
-    ]
+    table = []
+    for j in range(n_kinds):
+        n_of_kind = n_row[kind == j]
+        n_recorded = int((n_of_kind > 0).sum())
+        if n_recorded:
+            table.append((n_recorded, int(n_of_kind.sum()), float(strength[j])))
     kappa = strength[kind]
     return StrengthChoice(
         by_row=kappa,
@@ -254,23 +272,23 @@ def choose_strength(
 
 
 def _counts(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> Counts:
-    """What the loops read, of the rows with counts."""
+    """Return the rows with counts as the kernels read them."""
     n_row = rows.sums(observed)
-    seen = observed > 0
-    visited = np.flatnonzero(n_row > 0)
-    ends = np.concatenate(
-        [[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]
-    ).astype(np.int64)
+    has_count = observed > 0
+    recorded = np.flatnonzero(n_row > 0)
+    n_entries = rows.sums(has_count.astype(np.int64))[recorded]
+    ends = np.concatenate([[0], np.cumsum(n_entries)]).astype(np.int64)
     return Counts(
-        kind[visited].astype(np.int64),
-        ends,
-        observed[seen],
-        prior[seen],
-        n_row[visited],
+        kind=kind[recorded].astype(np.int64),
+        ends=ends,
+        counts=observed[has_count],
+        prior=prior[has_count],
+        n=n_row[recorded],
     )
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the weighted median of values; without weights the largest value."""
     order = np.argsort(values, kind="stable")
     running = np.cumsum(weights[order])
     if running[-1] == 0:
@@ -279,7 +297,7 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
-    """The sentence about the prior that kappa supports."""
+    """Return the sentence about the prior that kappa supports."""
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
     if np.ptp(choice.curve) < 1.0:
@@ -293,16 +311,15 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     compared = (
         f"a row of it is worth {worth}, and the log has {typical:.3g} in the median row"
     )
-    if strength >= FITS:
+    if strength >= KAPPA_OF_GOOD_FIT:
         verdict = f"the {name} fits"
-    elif strength >= FITS_ROUGHLY:
+    elif strength >= KAPPA_OF_ROUGH_FIT:
         verdict = f"the {name} fits roughly"
     else:
         return f"the {name} does not fit: {compared}"
-    misses = sum(rows for rows, _, kappa in choice.kinds if kappa < FITS_ROUGHLY)
-    apart = (
-        f"; but not in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows"
-        if misses
-        else ""
+    n_rows = sum(rows for rows, _, _ in choice.kinds)
+    n_misfits = sum(
+        rows for rows, _, kappa in choice.kinds if kappa < KAPPA_OF_ROUGH_FIT
     )
-    return f"{verdict}: {compared}{apart}"
+    exception = f"; but not in {n_misfits} of {n_rows} rows" if n_misfits else ""
+    return f"{verdict}: {compared}{exception}"
