@@ -26,7 +26,7 @@ from oee_tabular.typing import (
     SparseLike,
 )
 
-# The least simulator probability of a transition with a ratio; below it ratios overflow.
+# The least simulator probability that a ratio is taken of; below it ratios overflow.
 LEAST_PROBABILITY = 1e-300
 # The number beyond which a float does not tell n from n + 1.
 LARGEST_COUNT = 2.0**53

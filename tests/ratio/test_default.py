@@ -130,7 +130,8 @@ class Own:
         self.shape = P.shape
         self.counts = table_of(log, policy.shape)
         self.seen = (self.counts.sum(axis=2) > 0) & ((P > 0).sum(axis=2) > 1)
-        self.rows, self.n = P[self.seen], self.counts[self.seen]
+        self.rows = P[self.seen]
+        self.n = self.counts[self.seen]
         self.action = np.nonzero(self.seen)[1]
         self.kind = kinds_of(
             P.reshape(-1, P.shape[2]), self.counts.reshape(-1, P.shape[2])
