@@ -95,8 +95,8 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
     def __init__(self, network: Network, training: Training, key: jax.Array):
         """Draw the first parameters, with f = 0 everywhere."""
         n_states, n_actions = training.sizes
-        n_of_state = n_states if training.places is None else training.places.shape[1]
-        inputs = [n_of_state, n_actions, n_of_state][: len(training.cells)]
+        state_width = n_states if training.places is None else training.places.shape[1]
+        inputs = [state_width, n_actions, state_width][: len(training.cells)]
         widths = [*network.layers, 1]
         keys = jax.random.split(key, len(inputs) + len(widths))
         # Of one-hot inputs one number an input is not 0.
@@ -107,11 +107,10 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
             for k, n in zip(keys, inputs, strict=False)
         ]
         self.bias = jnp.zeros(widths[0])
+        keys_of_layers = keys[len(inputs) :]
         self.rest = [
             eqx.nn.Linear(n, m, key=k)
-            for n, m, k in zip(
-                widths[:-1], widths[1:], keys[len(inputs) :], strict=False
-            )
+            for n, m, k in zip(widths[:-1], widths[1:], keys_of_layers, strict=False)
         ]
         if self.rest:
             # g = 1 at the start.

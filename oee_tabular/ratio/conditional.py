@@ -9,7 +9,7 @@ zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet prior.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, TypeAlias
 
@@ -225,17 +225,15 @@ class Conditional(Method):
         # Blocks of rows keep memory small. A network is trained on all rows together,
         # and a conic solver is called once.
         in_blocks = is_structured and self.functions is None and len(observed) > BLOCK
-        for some in rows.blocks() if in_blocks else (rows,):
+        parts: Iterable[Rows] = rows.blocks() if in_blocks else (rows,)
+        for some in parts:
             number = some.number
             at = some.entries
             spread = some.spread
             m = some.weights if tilt is None else tilt.at(some)
             weight = np.maximum(n_row[number] + kappa[number], SMALLEST_WEIGHT)
-            p = np.where(
-                spread(n_row[number] == 0),
-                m,
-                (observed[at] + spread(kappa[number]) * m) / spread(weight),
-            )
+            shrunk = (observed[at] + spread(kappa[number]) * m) / spread(weight)
+            p = np.where(spread(n_row[number] == 0), m, shrunk)
             ridge = spread(lam[number])
             if self.toward is not None:
                 ridge = ridge * some.weights
@@ -307,9 +305,8 @@ class Conditional(Method):
         """
         if isinstance(self.ridge, str):
             _checks.one_of(self.ridge, "ridge", CRITERIA)
-            choice = choose_strength(
-                given.observed, given.rows.weights, given.rows, self.ridge
-            )
+            prior = given.rows.weights
+            choice = choose_strength(given.observed, prior, given.rows, self.ridge)
             details |= {
                 "ridge_times_count": choice.strength,
                 "ridge_by": choice.criterion,
@@ -318,9 +315,8 @@ class Conditional(Method):
                 choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0
             )
         sizes, index = np.unique(n_row, return_inverse=True)
-        return np.array(
-            [check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes]
-        )[index]
+        ridges = [check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes]
+        return np.array(ridges)[index]
 
 
 def _no_tilt(

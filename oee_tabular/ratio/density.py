@@ -241,9 +241,9 @@ def density_ratio(
             " the KL risk + |w|^2"
         )
     if in_class and sgd is not None:
-        raise ValueError(
-            'solver "sgd" must be left out with features or kernel: Algorithm 1 is for'
-            " tables"
+        raise ArgumentError(
+            "solver",
+            '"sgd" must be left out with features or kernel: Algorithm 1 is for tables',
         )
     if coordinates is not None and not in_class:
         raise ArgumentError("coordinates", "must be given with a kernel; none is given")
@@ -312,20 +312,21 @@ def density_ratio(
     ratio[known] = g
     below[known] = ends[0]
     above[known] = ends[1]
+    status = f"inaccurate: the gap is {gap:.1e}"
+    if gap <= OPTIMAL_GAP_NATS:
+        status = "optimal"
     return RatioFit(
         ratio=_checks.freeze(ratio),
         objective=risk + penalty,
         dual_bound=risk + penalty - gap,
         gap=gap,
         normalizer=m - 1.0,
-        # least squares estimate no KL divergence
+        # Least squares estimate no KL divergence.
         divergence=float("nan") if program.squares else 1.0 - risk,
         n_undetermined=n - len(ps),
         p_total=totals[0],
         q_total=totals[1],
-        status="optimal"
-        if gap <= OPTIMAL_GAP_NATS
-        else f"inaccurate: the gap is {gap:.1e}",
+        status=status,
         enclosure=(below, above),
         **rest,
     )
@@ -350,12 +351,14 @@ def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
     It minimises the KL risk alone, in a box that keeps its gradients bounded.
     """
     if normalized or loss != "kl":
-        raise ValueError(
-            'solver "sgd" must have normalized=False and loss="kl": Algorithm 1 knows'
-            " no other program"
+        raise ArgumentError(
+            "solver",
+            '"sgd" must have normalized=False and loss="kl": Algorithm 1 knows no other'
+            " program",
         )
     if not (box.lower > 0.0 and np.isfinite(box.upper)):
-        raise ValueError(
-            'solver "sgd" must have 0 < lower and a finite upper; the box is'
-            f" [{box.lower:g}, {box.upper:g}]"
+        raise ArgumentError(
+            "solver",
+            '"sgd" must have 0 < lower and a finite upper; the box is'
+            f" [{box.lower:g}, {box.upper:g}]",
         )

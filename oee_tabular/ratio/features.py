@@ -226,7 +226,7 @@ def count_rank(features: Array, *, where: str = "") -> int:
     return rank
 
 
-def feature_array(features: FeaturesLike, simulator: FiniteMDP) -> Array:
+def feature_array(features: object, simulator: FiniteMDP) -> Array:
     """Return the features as an (entries, d) array of finite numbers.
 
     ``features`` is a function of the arrays (s, a, s'); an array of (entries,) or
@@ -432,9 +432,9 @@ class _Column(NamedTuple):
         if bad.any():
             row = int(np.argmax(bad))
             shown = "none or nan" if values is None else values[row]
-            raise ValueError(
-                f"column {self.label!r} of {self.source} must {rule}; row {row} has"
-                f" {shown}"
+            raise ArgumentError(
+                f"column {self.label!r} of {self.source}",
+                f"must {rule}; row {row} has {shown}",
             )
 
     def finite(self) -> Array:

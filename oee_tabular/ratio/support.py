@@ -83,11 +83,12 @@ def refuse_unsupported(
     probability = "0"
     if align(simulator.transitions, counts)[0][bad].any():
         probability = f"0 or below {LEAST_PROBABILITY:g}"
-    raise ValueError(
-        f"{what} must stay in the simulator's support: the simulator gives probability"
+    raise ArgumentError(
+        what,
+        "must stay in the simulator's support: the simulator gives probability"
         f" {probability} to {bad.size} of its transitions ({total:g} of"
         f" {counts.data.sum():g} with repetitions): {'; '.join(named)}. "
-        + _suggest_remedies(counts, bad, simulator)
+        + _suggest_remedies(counts, bad, simulator),
     )
 
 
