@@ -240,7 +240,7 @@ def transition_ratio(
     solver : str or Sgd, optional
         Option of all methods but ``Tied``; ``Sgd`` is ``Quotient``'s alone.
     data : Transitions or 'exact', optional
-        Option of ``Quotient`` and ``Joint``, goes before ``simulator_data``.
+        Option of ``Quotient`` and ``Joint``; it replaces ``simulator_data``.
     functions : Network, optional
         Option of ``Conditional`` and ``Quotient``.
 
