@@ -66,7 +66,7 @@ def refuse_unsupported(
     >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
     >>> refuse_unsupported(target.transitions, simulator, what="target")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    oee_tabular.exceptions.ArgumentError: target must stay in the simulator's support: the simulator gives probability 0 to 24 of its transitions...
+    oee_tabular.exceptions.ArgumentError: target must stay in the simulator's support...
     """
     counts, possible = _possible(moves, simulator)
     bad = np.flatnonzero((counts.data > 0) & ~possible)
