@@ -1,16 +1,15 @@
-"""CartPole: a pole balanced on a cart (the paper's Section VI.B), with gravity as the
-parameter that is mistaken; its policies.
+"""CartPole with a mistaken gravity (the paper's Section VI.B), and its policies.
 
-Gymnasium's dynamics (Euler steps of 0.02 s, forces of -10 and 10 N), bit for bit;
-beside them N(0, noise^2) on each component of the state in each step, and the paper's
-reward: 1 per step, the failing one included, 0 afterwards. An episode begins uniformly
-in [-0.05, 0.05]^4 and is over beyond 2.4 m or 12 degrees.
+A pole is balanced on a cart by Gymnasium's dynamics (Euler steps of 0.02 s, forces of
+-10 and 10 N), bit for bit; beside them N(0, noise^2) on each component of the state in
+each step, and the paper's reward: 1 per step, the failing one included, 0 afterwards.
+An episode begins uniformly in [-0.05, 0.05]^4 and ends beyond 2.4 m or 12 degrees.
 
 The acceleration of the angle depends on (theta, theta', force) only. For a policy that
 looks at the angle alone, (theta, theta') is therefore a Markov process by itself, and
 the discretisation may leave the cart out; the one thing lost is the end of the track,
-which hardly any episode reaches within 100 steps. A log's moves that end there are
-truncated to it.
+which hardly any episode reaches within 100 steps. A log's transitions that end there
+are truncated to it.
 
 The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3). It
 is trained in the simulator (gravity 10) by the cross-entropy method [1], which keeps a
@@ -20,9 +19,10 @@ expert is no perfect balancer either, and its figure is that of a policy which a
 random (a deterministic one does not fit it).
 
 ``EXPERT`` is what ``train_expert()`` returns, to the last bit. Of the seeds 0 to 3999
-its seed is the one whose policy comes nearest (mean |difference of probabilities| .020
-on 20 000 visited states) to sigma(17.685 theta + 1.367 theta' - .199), the expert that
-this task was first measured with. The choice saw no target.
+its seed is the one whose policy comes nearest (mean absolute difference of
+probabilities .020 on 20 000 visited states) to
+sigma(17.685 theta + 1.367 theta' - .199), the expert that this task was first measured
+with. The choice used no data of the target.
 
 Reference: [1] R. Rubinstein, The cross-entropy method for combinatorial and continuous
 optimization, 1999.
@@ -66,20 +66,28 @@ EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)
 class CartPole(ContinuousTask):
     """Gymnasium's CartPole under another gravity, with process noise.
 
+    The state is (x, x', theta, theta'): the cart's position in m and velocity in m/s,
+    the pole's angle from the vertical in rad and its angular velocity in rad/s. Action
+    0 pushes the cart with -10 N, action 1 with 10 N, each for 0.02 s. The reward is 1
+    for every step, the failing one included. An episode ends beyond 2.4 m or 12
+    degrees.
+
     Parameters
     ----------
-    gravity : m/s^2; the paper's simulator has 10, its targets 7.5 to 15 (Gymnasium's
-        default is 9.8)
-    noise : standard deviation of the Gaussian noise on each component of the state,
-        each step (the paper's 1e-4)
-    form : "angle" | "full"
+    gravity : float, default 10.0
+        The gravity in m/s^2. The paper's simulator has 10, its targets 7.5 to 15;
+        Gymnasium's default is 9.8.
+    noise : float, default 1e-4
+        The standard deviation of the Gaussian noise that each step adds to each
+        component of the state; the paper's is 1e-4.
+    form : {'angle', 'full'}, default 'angle'
         What is discretised: (theta, theta'), exact for policies of the angle, or the
         whole state (x, x', theta, theta').
 
-    Notes
-    -----
-    States always have the four coordinates of Gymnasium's. Action 0 pushes with -10 N,
-    action 1 with 10 N.
+    See Also
+    --------
+    cartpole_policy : The expert, mixed with the uniform policy.
+    train_expert : Train the expert.
 
     Examples
     --------
@@ -113,7 +121,23 @@ class CartPole(ContinuousTask):
         )
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step. Products and sums stand in the order of Gymnasium's own, so that
+        """Take one step of 0.02 s from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            Position (m), velocity (m/s), angle (rad) and angular velocity (rad/s).
+        actions : ndarray of int, shape (n,)
+            0 for -10 N and 1 for 10 N.
+        disturbance : ndarray of shape (n, 4)
+            Draws of N(0, I), which ``noise`` multiplies.
+
+        Returns
+        -------
+        Moves
+            The next states, rewards of 1, and whether the next states are terminal.
+
+        Notes ----- Products and sums stand in the order of Gymnasium's own, so that
         they agree to the last bit.
         """
         force = self.actions[np.asarray(actions, dtype=np.int64)]
@@ -136,12 +160,32 @@ class CartPole(ContinuousTask):
         return Moves(following, np.ones(len(states)), self.terminated(following))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """Uniform in [-0.05, 0.05]^4."""
+        """Draw states uniformly from [-0.05, 0.05]^4.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The states.
+        """
         return rng.uniform(-START, START, (n, 4))
 
     def initial_points(self) -> tuple[Array, Array]:
-        """The uniform distribution as a regular lattice: 64 midpoints in each of theta
-        and theta' (12 each in 4-D).
+        """Return a lattice of midpoints that represents the uniform initial states.
+
+        Returns
+        -------
+        states : ndarray of shape (m, 4)
+            64 midpoints in each of theta and theta', the cart at rest at 0; with the
+            form 'full' 12 in each coordinate.
+        weights : ndarray of shape (m,)
+            Equal weights, which sum to 1.
         """
         k = len(self.feature_names)
         n = 64 if self.form == "angle" else 12
@@ -152,42 +196,98 @@ class CartPole(ContinuousTask):
         return points, np.full(len(points), 1.0 / len(points))
 
     def terminated(self, states: Array) -> BoolArray:
-        """Beyond 2.4 m or 12 degrees."""
+        """Return which states lie beyond 2.4 m or 12 degrees.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether each state is terminal.
+        """
         return np.asarray(
             (np.abs(states[:, 0]) > X_LIMIT) | (np.abs(states[:, 2]) > ANGLE_LIMIT)
         )
 
     def end_shows(self, states: Array) -> BoolArray:
-        """The end of the track does not show in (theta, theta')."""
+        """Return which ends show in the features; those of the track do not.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            Terminal states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether the angle is beyond 12 degrees, or the form is 'full'.
+        """
         return np.asarray((np.abs(states[:, 2]) > ANGLE_LIMIT) | (self.form == "full"))
 
     def features(self, states: Array) -> Array:
-        """(theta, theta'), or the whole state."""
+        """Return (theta, theta'), or the whole state with the form 'full'.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 2) or (n, 4)
+            The features, in rad and rad/s, with the form 'full' also in m and m/s.
+        """
         return np.ascontiguousarray(states[:, 2:]) if self.form == "angle" else states
 
     def embed(self, features: Array) -> Array:
-        """The cart at rest in the middle of its track."""
+        """Return states with these features, the cart at rest in the middle.
+
+        Parameters
+        ----------
+        features : ndarray of shape (n, 2) or (n, 4)
+            The features.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The states.
+        """
         if self.form == "full":
             return features
         return np.concatenate([np.zeros_like(features), features], axis=1)
 
     def parameters(self) -> dict[str, Any]:
-        """Gravity, noise and form."""
+        """Return gravity, noise and form by name.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return {"gravity": self.gravity, "noise": self.noise, "form": self.form}
 
 
 @dataclass(frozen=True)
 class CartPolePolicy:
-    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4)
-    giving probabilities (n, 2).
+    """The expert mixed with the uniform policy: delta * uniform + (1 - delta) * expert.
+
+    It is a function of states (n, 4) giving probabilities (n, 2) of pushing to the left
+    and to the right.
 
     Parameters
     ----------
-    delta : share of the uniform policy, in [0, 1]: the opposite sense to the gridworld,
-        as in the paper
-    deterministic : whether the expert takes its likelier action; else it pushes to the
-        right with probability sigma(w_1 theta + w_2 theta' + w_3)
-    weights : w, the shipped expert's by default
+    delta : float, default 0.0
+        The share of the uniform policy, in [0, 1]. The sense is opposite to the
+        gridworld's, as in the paper.
+    deterministic : bool, default False
+        Whether the expert takes its more probable action. Otherwise it pushes to the
+        right with probability sigma(w_1 theta + w_2 theta' + w_3).
+    weights : tuple of three floats, optional
+        The weights w, for theta in rad and theta' in rad/s; by default the shipped
+        expert's.
 
     Examples
     --------
@@ -204,7 +304,7 @@ class CartPolePolicy:
         _checks.boolean(self.deterministic, "deterministic")
 
     def __call__(self, states: Array) -> Array:
-        """(n, 2) probabilities of pushing to the left and to the right."""
+        """Return the probabilities (n, 2) of pushing to the left and to the right."""
         lean = (
             self.weights[0] * states[:, 2]
             + self.weights[1] * states[:, 3]
@@ -232,26 +332,40 @@ def train_expert(
     horizon: int = 200,
     task: CartPole | None = None,
 ) -> tuple[float, float, float]:
-    """The weights (w_1, w_2, w_3) of a logistic expert, by the cross-entropy method.
+    """Train the weights of a logistic expert by the cross-entropy method.
 
     Parameters
     ----------
-    seed : the same seed gives the same bits; the default trains the expert that is
-        shipped
-    iterations, population, elite : samples in each iteration, and how many of the best
-        the Gaussian is fitted to
-    episodes, horizon : each candidate's score is its mean number of steps (at most
-        ``horizon``) over so many episodes
-    task : CartPole, by default the paper's simulator, gravity 10
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits; the default
+        trains the expert that is shipped.
+    iterations : int, default 2
+        The number of iterations.
+    population : int, default 64
+        The number of candidates that each iteration draws.
+    elite : int, default 8
+        The number of best candidates to which the Gaussian is fitted.
+    episodes : int, default 32
+        The number of episodes by which each candidate is scored.
+    horizon : int, default 200
+        The largest number of steps of an episode. A candidate's score is its mean
+        number of steps.
+    task : CartPole, optional
+        The task in which candidates are run; by default the paper's simulator, gravity
+        10.
 
     Returns
     -------
-    tuple of 3 floats
-        For theta in rad and theta' in rad/s.
+    tuple of three floats
+        The weights, for theta in rad and theta' in rad/s.
 
-    Notes
-    -----
-    iterations * population * episodes * horizon steps: a tenth of a second by default.
+    Raises
+    ------
+    ValueError
+        If a number is not a positive integer, or ``elite`` is above ``population``.
+
+    Notes ----- Costs iterations * population * episodes * horizon steps: a tenth of a
+    second by default.
 
     Examples
     --------
@@ -290,7 +404,7 @@ def train_expert(
 def _lengths(
     task: CartPole, weights: Array, horizon: int, rng: np.random.Generator
 ) -> Array:
-    """(n,) lengths of episodes, each under weights of its own (n, 3)."""
+    """Return the lengths (n,) of episodes, each under weights of its own (n, 3)."""
     alive = np.arange(len(weights))
     lengths = np.zeros(len(weights))
     states = task.initial_states(len(weights), rng)

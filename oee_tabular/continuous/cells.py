@@ -1,5 +1,4 @@
-"""Where numbered states lie among a task's features: on the vertices of a ``Grid``, or
-in ``VoronoiCells`` around centres.
+"""Cells among a task's features: the vertices of a ``Grid``, or ``VoronoiCells``.
 
 Both share a point out among their cells with weights that sum to 1: the 2^k vertices
 around it, so that its mean is kept, or the one cell that it lies in. They say which
@@ -30,7 +29,7 @@ PLACES_AT_A_TIME = 250_000  # bounds the memory
 
 
 def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
-    """(len(numbers), n) rows with a 1 in the column of their number."""
+    """Return rows (len(numbers), n) with a 1 in the column of their number."""
     size = len(numbers)
     return sparse.csr_array(
         (np.ones(size), numbers, np.arange(size + 1)), shape=(size, n)
@@ -41,8 +40,8 @@ def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
 class Grid:
     """The vertices of a regular grid, numbered in C order.
 
-    ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a periodic
-    one ``high`` is ``low`` again.
+    There are ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a
+    periodic one ``high`` is ``low`` again.
     """
 
     low: Array
@@ -52,26 +51,27 @@ class Grid:
 
     @property
     def n_cells(self) -> int:
-        """The number of vertices."""
+        """Return the number of vertices."""
         return math.prod(self.shape)
 
     @property
     def spacing(self) -> Array:
-        """(k,) distance between neighbouring vertices."""
+        """Return the distance (k,) between neighbouring vertices."""
         parts = np.array(self.shape) - np.where(self.periodic, 0, 1)
         return np.asarray((self.high - self.low) / parts)
 
     def indices(self) -> IntArray:
-        """(n_cells, k) the place of each vertex along each coordinate."""
+        """Return the place (n_cells, k) of each vertex along each coordinate."""
         return np.stack(np.unravel_index(np.arange(self.n_cells), self.shape), axis=1)
 
     def vertices(self) -> Array:
-        """(n_cells, k) where the vertices lie."""
+        """Return where the vertices lie, (n_cells, k)."""
         return np.asarray(self.low + self.indices() * self.spacing)
 
     def weights(self, features: Array) -> sparse.csr_array:
-        """(n, n_cells) multilinear weights on the 2^k vertices around each point;
-        points outside go to the nearest inside.
+        """Compute multilinear weights (n, n_cells) on the vertices around each point.
+
+        There are 2^k of these. Points outside go to the nearest inside.
         """
         n = len(features)
         shape = np.array(self.shape)
@@ -94,13 +94,13 @@ class Grid:
         )
 
     def outside(self, features: Array) -> BoolArray:
-        """(n,) which points lie beyond the faces."""
+        """Return which points (n,) lie beyond the faces."""
         room = 1e-9 * self.spacing
         beyond = (features < self.low - room) | (features > self.high + room)
         return np.asarray((beyond & ~np.array(self.periodic)).any(axis=1))
 
     def extent(self) -> str:
-        """Shape and range, in words."""
+        """Describe shape and range in words."""
         ranges = " x ".join(
             f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True)
         )
@@ -109,8 +109,9 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class VoronoiCells:
-    """The cells of ``centres`` (n, k) under the distance |x - y| / scale, with the
-    largest distance that was observed.
+    """The cells of ``centres`` (n, k) under the distance abs(x - y) / scale.
+
+    ``radius`` is the largest distance from a centre that was observed.
     """
 
     centres: Array
@@ -119,46 +120,59 @@ class VoronoiCells:
 
     @cached_property
     def _tree(self) -> Any:
+        """Return the search tree of the scaled centres."""
         return cKDTree(self.centres / self.scale)
 
     @property
     def n_cells(self) -> int:
-        """The number of centres."""
+        """Return the number of centres."""
         return len(self.centres)
 
     def nearest(self, features: Array) -> tuple[IntArray, Array]:
-        """The cell of each point, and its distance from the centre."""
+        """Return the cell of each point, and its distance from the centre."""
         distance, number = self._tree.query(features / self.scale)
         return np.asarray(number, dtype=np.int64), np.asarray(distance)
 
     def weights(self, features: Array) -> sparse.csr_array:
-        """(n, n_cells) 1 in the point's cell."""
+        """Return weights (n, n_cells), 1 in the point's cell."""
         return indicator(self.nearest(features)[0], self.n_cells)
 
     def outside(self, features: Array) -> BoolArray:
-        """(n,) which points are farther from every centre than any visited state was."""
+        """Return which points (n,) are farther off than any visited state was.
+
+        The distance is that from the nearest centre.
+        """
         return np.asarray(self.nearest(features)[1] > self.radius)
 
     def extent(self) -> str:
-        """Number of cells and reach, in words."""
+        """Describe number of cells and reach in words."""
         return f"the {self.n_cells} cells of visited states (reach {self.radius:.3g})"
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Cells, the state-action pairs that are stepped, and how a row is the mean of
-    them.
+    """Cells, the state-action pairs that are stepped, and how rows are made of them.
 
     Attributes
     ----------
-    cells : Grid or VoronoiCells, where the numbered states lie
-    states, actions : (m, d), (m,) the pairs that are stepped
-    averages : csr (n_cells * A, m), W; None where pair k is row k
-    points, point_cell : (p, d), (p,) states that stand for the cells: policies and
-        costs are means over them
-    noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
-    seed : of one draw of the disturbances for each pair, in place of those points;
-        None: no draws
+    cells : Grid or VoronoiCells
+        Where the numbered states lie.
+    states : ndarray of shape (m, d)
+        The states that are stepped.
+    actions : ndarray of int, shape (m,)
+        The actions under which they are stepped.
+    averages : csr array of shape (n_cells * A, m) or None
+        The weights W of the pairs in each row. None means that pair k is row k.
+    points : ndarray of shape (p, d)
+        States that stand for the cells: policies and costs are means over them.
+    point_cell : ndarray of int, shape (p,)
+        The cell of each of these states.
+    noise_points : int or None
+        The number of Gauss-Hermite points of each disturbance; None means the stepped
+        task's.
+    seed : int or None
+        The seed of one draw of the disturbances for each pair, in place of those
+        points. None means no draws.
     """
 
     cells: Any
@@ -171,17 +185,16 @@ class Places:
     seed: int | None = None
 
     def mean(self, values: Array) -> Array:
-        """(n_cells, ...) the mean over each cell of values (p, ...), one for each
-        point.
-        """
+        """Compute the mean over each cell of values (p, ...), one for each point."""
         matrix = indicator(self.point_cell, self.cells.n_cells)
         return np.asarray(((matrix.T @ values).T / matrix.sum(axis=0)).T)
 
     def weights(
         self, task: ContinuousTask, states: Array, ended: BoolArray
     ) -> sparse.csr_array:
-        """(n, S) how states are shared out among the numbered ones; what has ended lies
-        in the absorbing state, the last.
+        """Compute how states are shared out among the numbered ones, (n, S).
+
+        Terminal states lie in the absorbing state, the last.
         """
         inner = self.cells.weights(task.features(states))
         if not task.terminates:
@@ -193,7 +206,7 @@ class Places:
     def simulate(
         self, task: ContinuousTask, initial: Array, discount: float
     ) -> FiniteMDP:
-        """The FiniteMDP of a task that is stepped at these places."""
+        """Return the FiniteMDP of a task that is stepped at these places."""
         rng = None if self.seed is None else np.random.default_rng(self.seed)
         parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
         blocks = [
@@ -223,7 +236,7 @@ class Places:
         initial: Array,
         discount: float,
     ) -> FiniteMDP:
-        """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
+        """Return the FiniteMDP of rows, which are normalised, and rewards r(s, a).
 
         Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i,
         a, j): they telescope on cells as they do in the task. Taken transition by
@@ -250,8 +263,9 @@ class Places:
     def _step(
         self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
     ) -> tuple[sparse.csr_array, Array]:
-        """Where some of the pairs lead, and what they pay, on average over the
-        disturbances.
+        """Compute where some of the pairs lead and their rewards.
+
+        Both are averages over the disturbances.
         """
         states = self.states[part]
         actions = self.actions[part]
@@ -284,8 +298,9 @@ class Places:
 
 
 def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
-    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials
-    of degree 2 points - 1.
+    """Return nodes (m, n) and weights (m,) that average over N(0, I_n).
+
+    They are exact for polynomials of degree 2 points - 1.
 
     >>> nodes, weights = gauss_hermite(3, 2)
     >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
@@ -302,7 +317,7 @@ def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
 
 
 def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
-    """Each state under each action, in rows s*A + a."""
+    """Return each state under each action, in rows s*A + a."""
     return np.repeat(states, task.n_actions, axis=0), np.tile(
         np.arange(task.n_actions), len(states)
     )
@@ -311,8 +326,9 @@ def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
 def spread_over_pairs(
     start: sparse.csr_array, actions: IntArray, n_actions: int
 ) -> sparse.csr_array:
-    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the
-    columns of the pairs s*A + a.
+    """Return the weights (n, S) of states as weights (n, S * A) of state-action pairs.
+
+    The states are left by actions (n,); the pair (s, a) has the column s*A + a.
     """
     pairs = start.indices.astype(np.int64) * n_actions + np.repeat(
         actions, np.diff(start.indptr)
@@ -324,7 +340,5 @@ def spread_over_pairs(
 
 
 def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
-    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered
-    ones.
-    """
+    """Return W (S * A, m) of the weights (m, S * A) that stepped pairs have."""
     return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)

@@ -1,5 +1,4 @@
-"""Which correction a log supports: of the simulator's parameters, of its residuals,
-with how many last actions in the state.
+"""The correction that a log supports: of a simulator's parameters, steps and history.
 
 The measure is the held-out one-step error of f + g, mean square over every row of the
 log in units of the displacement's variance, summed over coordinates
@@ -11,7 +10,8 @@ correction of a Markov state can be trusted.
 A simulator's physical parameters are fitted by least squares on the one-step errors of
 a log (``fit_parameters``),
 
-    p* = argmin_p sum_{i, k} rho((s'_ik - f_k(s_i, a_i; p)) / scale_k),    rho(r) = 2 c^2 (sqrt(1 + (r / c)^2) - 1)
+    p* = argmin_p sum_{i, k} rho((s'_ik - f_k(s_i, a_i; p)) / scale_k),
+    rho(r) = 2 c^2 (sqrt(1 + (r / c)^2) - 1)
 
 rho is quadratic up to c, the median error, and linear beyond: rows that the structure
 does not explain (contacts, actions that were not carried out) pull little. Where the
@@ -70,12 +70,18 @@ class ParameterFit:
 
     Attributes
     ----------
-    task : ContinuousTask with the fitted parameters
-    parameters, standard_error : name -> number; the standard error is infinite where
-        the log does not determine a parameter
-    residual : (n, d) s' - f(s, a) of the fitted task
-    start : name -> the number that the fit began from
-    at_bounds : names of the parameters that ended at a bound
+    task : ContinuousTask
+        The task with the fitted parameters.
+    parameters : mapping from str to float
+        The fitted parameters by name, in the task's units.
+    standard_error : mapping from str to float
+        Their standard errors; infinite where the log does not determine a parameter.
+    residual : ndarray of shape (n, d)
+        s' - f(s, a) of the fitted task in each row of the log.
+    start : mapping from str to float
+        The numbers from which the fit began.
+    at_bounds : tuple of str
+        The names of the parameters that ended at a bound.
 
     Examples
     --------
@@ -93,8 +99,13 @@ class ParameterFit:
     at_bounds: tuple[str, ...] = ()
 
     def describe(self) -> str:
-        """Each parameter with its standard error, and which of them stand at a bound or
-        are not determined.
+        """Describe each parameter with its standard error.
+
+        Returns
+        -------
+        str
+            Sentences, which also say which parameters stand at a bound or are not
+            determined.
         """
         values = ", ".join(
             f"{name} {value:.4g} (standard error {self.standard_error[name]:.2g}; the"
@@ -124,28 +135,35 @@ def fit_parameters(
 
     Parameters
     ----------
-    task_of : function of the parameters, by name, that makes the ContinuousTask with
-        them
-    start : name -> number from which the search begins, the simulator's own
-    log : ContinuousTransitions of the target
-    bounds : name -> (lower, upper); none: a parameter keeps the sign that it starts
-        with
+    task_of : function
+        A function of the parameters, by name, that makes the ContinuousTask with them.
+    start : mapping from str to float
+        The numbers from which the search begins, the simulator's own.
+    log : ContinuousTransitions
+        A log of the target.
+    bounds : mapping from str to (float, float), optional
+        The lower and the upper bound of parameters by name. A parameter without bounds
+        keeps the sign with which it starts.
 
     Returns
     -------
     ParameterFit
-        Standard errors are sandwich estimates: of the best parameters p*, valid where
-        the structure is wrong, too.
+        The fit. Standard errors are sandwich estimates: of the best parameters p*,
+        valid where the structure is wrong, too.
 
     Raises
     ------
     ValueError
-        A start that is no number or beyond its bounds; bounds of other names; a log of
-        other states.
+        If a start is no number or beyond its bounds, bounds have other names, or the
+        log has other states.
+
+    See Also
+    --------
+    ResidualSimulator : Correct what the parameters do not explain.
 
     Notes
     -----
-    Some ten steps of each of 20 000 rows for each parameter.
+    Costs some ten steps of each of 20 000 rows for each parameter.
 
     Examples
     --------
@@ -185,6 +203,7 @@ def fit_parameters(
             )
 
     def by_name(x: Array) -> dict[str, float]:
+        """Return the parameters as a mapping from their names."""
         return dict(zip(names, x.tolist(), strict=True))
 
     first = _checks.instance(task_of(**by_name(x0)), ContinuousTask, "task_of(**start)")
@@ -195,10 +214,12 @@ def fit_parameters(
     moved = shortest(log.next_state - log.state, periods).std(axis=0)
 
     def errors(task: ContinuousTask, step: int) -> Array:
+        """Return the one-step errors of a task in every ``step``-th row of the log."""
         own = task.noiseless_step(log.state[::step], actions[::step]).next_state
         return shortest(log.next_state[::step] - own, periods)
 
     def scaled_errors(x: Array) -> Array:
+        """Return the errors in units of the displacements' deviations, as a vector."""
         return (
             errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)
         ).ravel()
@@ -240,8 +261,9 @@ def fit_parameters(
 
 
 def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
-    """(p,) standard errors, diag(H^-1 (sum_i g_i g_i') H^-1)^(1/2), g_i the gradient of
-    row i; inf where H is singular.
+    """Compute standard errors (p,), diag(H^-1 (sum_i g_i g_i') H^-1)^(1/2).
+
+    g_i is the gradient of row i. The error is inf where H is singular.
     """
     size = np.sqrt((jacobian**2).sum(axis=0))
     scale = np.where(size > 0, size, 1.0)
@@ -263,13 +285,10 @@ def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
 def parameters_of(
     task: ContinuousTask, names: Sequence[str]
 ) -> tuple[Callable[..., ContinuousTask], dict[str, float]]:
-    """``task_of`` and ``start`` of parameters by name: fields of a task's class, or a
-    Gymnasium environment's physics.
+    """Return ``task_of`` and ``start`` of parameters by name, for ``fit_parameters``.
 
-    Raises
-    ------
-    ValueError
-        A name that is no number of the task's; the nearest is named.
+    Parameters are the fields of a task's class, or a Gymnasium environment's physics. A
+    name that is no number of the task's is a ValueError, which tells the nearest name.
     """
     family: Any = getattr(task, "family", None)
     if family is not None:
@@ -297,6 +316,7 @@ def parameters_of(
             )
 
     def change(**values: float) -> Any:
+        """Return a copy of the task with these parameters."""
         again: Any = copy.copy(task)
         if dataclasses.is_dataclass(again):
             return dataclasses.replace(again, **values)  # type: ignore[type-var]
@@ -307,8 +327,9 @@ def parameters_of(
 
 
 def describe_flaw(learned: ResidualSimulator) -> str:
-    """What is wrong where columns are in other units, or history explains the
-    residuals; "ok" where all is well.
+    """Describe why a corrected simulator cannot be trusted, or return "ok".
+
+    The columns may be in other units, or history may explain the residuals.
     """
     if learned.units:
         return f"{UNITS}{learned.units}"
@@ -322,9 +343,7 @@ def describe_flaw(learned: ResidualSimulator) -> str:
 
 
 def difference(corrected: ResidualSimulator) -> str:
-    """In which coordinates the log's residuals show that the target differs from the
-    simulator.
-    """
+    """Describe in which coordinates the target's steps differ from the simulator's."""
     changes = ", ".join(
         f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter"
         f" {c.simulator_scatter:.2g}, {max(c.explained, 0.0):.1%} explained)"
@@ -348,8 +367,9 @@ def difference(corrected: ResidualSimulator) -> str:
 
 
 def odd_row(corrected: ResidualSimulator) -> str:
-    """The row that alone makes most of the unexplained residual of a coordinate,
-    perhaps by an error; "" where none does.
+    """Describe the row that makes most of the unexplained residual of a coordinate.
+
+    It may be an error. Returns "" where no row alone does so.
     """
     for k, c in enumerate(corrected.coordinates):
         squares = corrected.left_over[:, k] ** 2
@@ -371,11 +391,16 @@ class Correction:
 
     Attributes
     ----------
-    learned : ResidualSimulator, of a ``HistoryTask`` where ``steps`` is positive
-    steps : last actions in its state
-    fit : of the parameters, where it was taken
-    plain : the ResidualSimulator of the simulator as it was given, without history
-    reason : sentences on what was taken and why
+    learned : ResidualSimulator
+        The corrected simulator, of a ``HistoryTask`` where ``steps`` is positive.
+    steps : int
+        The number of last actions in its state.
+    fit : ParameterFit or None
+        The fit of the parameters, where it was taken.
+    plain : ResidualSimulator
+        The correction of the simulator as it was given, without history.
+    reason : str
+        Sentences on what was taken and why.
     """
 
     learned: ResidualSimulator
@@ -386,7 +411,7 @@ class Correction:
 
     @cached_property
     def is_trusted(self) -> bool:
-        """Whether no more than a fifth of what is hidden is left."""
+        """Return whether at most a fifth of what is hidden is left."""
         return (
             not self.learned.units
             and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
@@ -394,7 +419,7 @@ class Correction:
 
     @property
     def name(self) -> str:
-        """Of its row in a report."""
+        """Return the name of its row in a report."""
         parts = ["parameters"] * (self.fit is not None) + ["residual"]
         parts += [
             "last action" if self.steps == 1 else f"last {self.steps} actions"
@@ -403,11 +428,11 @@ class Correction:
 
     @property
     def status(self) -> str:
-        """Of the value in the corrected simulator: "ok", or why it cannot be trusted."""
+        """Return "ok", or why the corrected simulator's value cannot be trusted."""
         return "ok" if self.is_trusted else describe_flaw(self.learned)
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
-        """A policy of the simulator's states as one of the corrected simulator's."""
+        """Return a policy of the simulator's states as one of the corrected states."""
         return (
             self.learned.task.policy(policy)
             if isinstance(self.learned.task, HistoryTask) and self.steps
@@ -415,8 +440,9 @@ class Correction:
         )
 
     def advice(self, *, is_auto: bool) -> str:
-        """What to do where history explains residuals and no correction can be trusted;
-        "" elsewhere.
+        """Advise what to do where history matters and no correction can be trusted.
+
+        Returns "" elsewhere.
         """
         if self.is_trusted or self.learned.units:
             return ""
@@ -448,11 +474,21 @@ def choose_correction(
 
     Parameters
     ----------
-    task : ContinuousTask, the simulator
-    log : ContinuousTransitions of the target
-    history : last actions in the state; "auto" chooses among 0 to 5
-    fit : of the simulator's parameters, to be compared with none
-    seed : as in ``ResidualSimulator``
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions
+        A log of the target.
+    history : int or 'auto', default 'auto'
+        The number of last actions in the state; 'auto' chooses among 0 to 5.
+    fit : ParameterFit, optional
+        A fit of the simulator's parameters, which is compared with none.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers, as in ``ResidualSimulator``.
+
+    Returns
+    -------
+    Correction
+        The correction.
     """
     is_auto = history == "auto"
     if not is_auto:
@@ -465,6 +501,7 @@ def choose_correction(
     plain = ResidualSimulator(task, log, seed=seed)
 
     def correct(base: ResidualSimulator, fit: ParameterFit | None) -> Correction:
+        """Correct ``base`` with as much history as is asked for."""
         learned, steps = _add_history(base, log, history, seed)
         return Correction(
             learned, steps, fit, plain, describe_history(base, learned, steps, is_auto)
@@ -496,11 +533,10 @@ def choose_correction(
 def _add_history(
     plain: ResidualSimulator, log: ContinuousTransitions, history: int | str, seed: Seed
 ) -> tuple[ResidualSimulator, int]:
-    """The correction with the best number of last actions in the state, or the one that
-    is asked for.
-    """
+    """Return the correction with the best, or the given, number of last actions."""
 
     def learn(steps: int) -> ResidualSimulator:
+        """Correct the task with ``steps`` last actions in its state."""
         _progress.report_step(
             f"correction with {steps} earlier action{'s' * (steps > 1)} in the state"
         )
@@ -530,7 +566,7 @@ def _add_history(
 def describe_history(
     plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_auto: bool
 ) -> str:
-    """How many last actions are in the state, and why; "" where none are."""
+    """Describe how many last actions are in the state and why; "" where none are."""
     if not steps:
         return ""
     text = (

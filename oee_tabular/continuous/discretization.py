@@ -1,10 +1,10 @@
-"""Continuous tasks as finite MDPs: ``discretize``, on a grid or on cells of visited
-states.
+"""Continuous tasks as finite MDPs, on a grid or on cells of visited states.
 
 States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum
 to 1 over j, and pairs x_k at which the task is stepped (``cells.Places``):
 
-    P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],     r(i, a) = sum_k W_{(i,a),k} E_xi[r(x_k, xi)],
+    P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],
+    r(i, a) = sum_k W_{(i,a),k} E_xi[r(x_k, xi)],
     pi(a | i) = mean of pi(a | s) over the states of cell i
 
 Another task stepped at the same places has the same states; a ratio between the two
@@ -12,7 +12,7 @@ differs from 1 by their dynamics alone. A log becomes soft counts n(i, a, j) = s
 its rows of w_i(s) w_j(s') (``Discretization.counts``) or numbered transitions drawn by
 these weights (``encode``), so that the ratio of the target's and the simulator's
 transitions is a matrix as it is for any finite MDP. Where episodes can end, one
-absorbing state that pays nothing, the last, stands for all that is over.
+absorbing state without rewards, the last, stands for all terminal states.
 
 What is exact: the mean of a step on a grid, and rewards r(s, a) at the places. What is
 lost is measured (``closure_error``): the value of a policy on the cells minus its Monte
@@ -85,23 +85,36 @@ TOLERANCE = 0.05  # of the closure error: beyond it is warned about
 
 @dataclass(frozen=True)
 class GridInterpolation:
-    """A regular grid over a task's features, for ``discretize(task, log,
-    cells=GridInterpolation((60, 60)))``.
+    """A regular grid over a task's features, on whose vertices the states lie.
+
+    It is what ``discretize(task, log, cells=GridInterpolation((60, 60)))`` takes.
 
     Parameters
     ----------
-    shape : vertices along each feature, at least 2
-    low, high : (k,) the grid's range; default the task's ``feature_low`` and
-        ``feature_high``
-    noise_points : the number of Gauss-Hermite points for each component of the
-        disturbance; 1 leaves it at 0; None: the task's ``noise_points``
-    vertex_weight : at a log, how many transitions the row of the vertex itself is worth
-        beside the log's places
+    shape : tuple of int
+        The number of vertices along each of the k features, at least 2.
+    low : array_like of shape (k,), optional
+        The lower ends of the grid; by default the task's ``feature_low``.
+    high : array_like of shape (k,), optional
+        The upper ends of the grid; by default the task's ``feature_high``.
+    noise_points : int, optional
+        The number of Gauss-Hermite points for each component of the disturbance; 1
+        leaves it at 0. None means the task's ``noise_points``.
+    vertex_weight : float, default 0.01
+        At a log, how many transitions the row of the vertex itself is worth beside the
+        log's places.
 
-    Notes
-    -----
-    Cost: A S 2^k entries for each noise point; 10^6 vertices with two actions in a few
-    seconds and under a gigabyte.
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+
+    See Also
+    --------
+    VisitedCells : Cells for four features and more.
+
+    Notes ----- Costs A S 2^k entries for each noise point: 10^6 vertices with two
+    actions in a few seconds and under a gigabyte.
 
     Examples
     --------
@@ -136,8 +149,26 @@ class GridInterpolation:
     def places(
         self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object
     ) -> Places:
-        """The vertices under each action and, at a log, the log's own states and
-        actions.
+        """Return the vertices under each action and, at a log, its own states and actions.
+
+        Parameters
+        ----------
+        task : ContinuousTask
+            The task that is stepped there.
+        log : ContinuousTransitions or None
+            A log of the target.
+        *others : object
+            Not used; ``VisitedCells.places`` takes them.
+
+        Returns
+        -------
+        Places
+            The grid with the state-action pairs that are stepped.
+
+        Raises
+        ------
+        ValueError
+            If the grid does not fit the task's features.
         """
         k = len(task.feature_names)
         if len(self.shape) != k:
@@ -199,23 +230,34 @@ class GridInterpolation:
 
 @dataclass(frozen=True)
 class VisitedCells:
-    """Voronoi cells of visited states, for ``discretize(task, log,
-    cells=VisitedCells(3000))``.
+    """Voronoi cells of visited states, each of which is a state of the finite MDP.
+
+    They are what ``discretize(task, log, cells=VisitedCells(3000))`` takes.
 
     Parameters
     ----------
-    n_cells : at most so many; cells in which no visited state lies are dropped
-    n_simulated : states that the task and the ``others`` of ``discretize`` visit by
-        themselves under its ``policies``, for what the log leaves out
-    n_stepped : of all these states, how many are stepped under every action; the log's
-        are under the logged one as well
-    max_steps : longest episode; states of the log later than this do not shape the
-        cells
+    n_cells : int
+        The largest number of cells; those in which no visited state lies are dropped.
+    n_simulated : int, default 30000
+        The number of states that the task and the ``others`` of ``discretize`` visit by
+        themselves under its ``policies``, for what the log leaves out.
+    n_stepped : int, default 60000
+        The number of these states that are stepped under every action; the log's are
+        under the logged one as well.
+    max_steps : int, default 100
+        The longest episode; states of the log later than this do not shape the cells.
 
-    Notes
-    -----
-    The same log, policies and seed give the same cells. Cost: 3 (n + n_simulated) + A
-    n_stepped nearest-cell searches, for each task.
+    Raises
+    ------
+    ValueError
+        If a number is not a positive integer.
+
+    See Also
+    --------
+    GridInterpolation : A regular grid, for up to three features.
+
+    Notes ----- The same log, policies and seed give the same cells. Costs 3 (n +
+    n_simulated) + A n_stepped nearest-cell searches, for each task.
 
     Examples
     --------
@@ -242,8 +284,25 @@ class VisitedCells:
         policies: Sequence[StatePolicy],
         seed: Any,
     ) -> Places:
-        """Cells of the log's states and of those that the simulators visit, and some of
-        these under each action.
+        """Return cells of visited states, and some of the states under each action.
+
+        Parameters
+        ----------
+        task : ContinuousTask
+            The task that is stepped there.
+        log : ContinuousTransitions or None
+            A log of the target, whose states are among the visited ones.
+        others : sequence of ContinuousTask
+            Tasks that visit states as well.
+        policies : sequence of functions
+            The policies under which the tasks visit states.
+        seed : int, Generator or SeedSequence, optional
+            The source of random numbers. The same seed gives the same bits.
+
+        Returns
+        -------
+        Places
+            The cells with the state-action pairs that are stepped.
         """
         rng = _checks.generator(seed)
         points = visited_states(
@@ -284,7 +343,7 @@ class VisitedCells:
         )
 
     def _cells(self, features: Array, rng: np.random.Generator) -> VoronoiCells:
-        """Centres among these points (m, k)."""
+        """Return cells whose centres Lloyd's iteration puts among these points (m, k)."""
         spread = features.std(axis=0)
         scale = np.where(spread > 0, spread, 1.0)
         points = features / scale
@@ -312,17 +371,31 @@ def visited_states(
     max_steps: int,
     seed: Any,
 ) -> Array:
-    """(n, d) states before each transition, in equal parts from every task under every
-    policy.
+    """Draw states before each transition from every task under every policy.
 
     Parameters
     ----------
-    tasks : those that the cells must serve: the simulator under several parameters
-        (never the target's data)
-    policies : functions of states (n, d) giving probabilities (n, A)
-    n : how many states in all
-    max_steps : longest episode
-    seed : the same seed gives the same bits
+    tasks : sequence of ContinuousTask
+        The tasks that the cells must serve: the simulator under several parameters
+        (never the target's data).
+    policies : sequence of functions
+        The policies: of states (n, d) they give probabilities (n, A).
+    n : int
+        How many states in all, in equal parts from each task under each policy.
+    max_steps : int
+        The longest episode.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
+
+    Returns
+    -------
+    ndarray of shape (n, d)
+        The states.
+
+    Raises
+    ------
+    ValueError
+        If there are no tasks or no policies, or a number is not a positive integer.
 
     Examples
     --------
@@ -359,43 +432,65 @@ def discretize(
     closure_episodes: int = 2000,
     seed: Any = 0,
 ) -> Discretization:
-    """A continuous task as a FiniteMDP on numbered states, so that ratios are matrices
-    there too.
+    """Make a FiniteMDP on numbered states of a continuous task.
+
+    Ratios of transition probabilities are then matrices there too.
 
     Parameters
     ----------
-    task : ContinuousTask, the simulator
-    log : ContinuousTransitions of the target, at whose states and actions the task is
-        stepped (its next states are used for a ``floor`` alone)
-    cells : where the states lie: (n_1, ..., n_k) vertices along each feature or
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions, optional
+        A log of the target, at whose states and actions the task is stepped. Its next
+        states are used for a ``floor`` alone.
+    cells : int, tuple, GridInterpolation, VisitedCells or Discretization, optional
+        Where the states lie: (n_1, ..., n_k) vertices along each feature or
         ``GridInterpolation``; a number of cells or ``VisitedCells``; another
-        Discretization, whose states and places are taken; None: the task's own, or a
-        grid up to three features and 1000 visited cells above
-    floor : with this probability a step is another one: one of the ``others``; where
-        there are none, one of the log's that the task gives no probability
-        (``FiniteMDP.with_support_of``). A *defensive* simulator, which gives
-        probability to what the target may do. It is another simulator: results made
-        with it say so (``metadata``), and ``plain`` is the one without
-    others : the task under other parameters, which should bracket the target's: a ratio
-        is at most K / floor wherever the target lies in the convex hull of the K
-        others. None: the task's own ``others()``
-    policies : those whose states the cells must serve, functions of states (n, d)
-        giving probabilities (n, A); none: uniform
-    discount : of the MDP, in [0, 1]
-    closure_episodes : of the uniform policy, by which what discretising costs is
-        measured; 0: not measured
-    seed : of visited states and random disturbances
+        Discretization, whose states and places are taken. None means the task's own, or
+        else a grid up to three features and 1000 visited cells above.
+    floor : float, default 0.0
+        The probability, in [0, 1], with which a step is another one: one of the
+        ``others``; where there are none, one of the log's that the task gives no
+        probability (``FiniteMDP.with_support_of``).
+    others : sequence of ContinuousTask, optional
+        The task under other parameters, which should bracket the target's. None means
+        the task's own ``others()``.
+    policies : sequence of functions, default ()
+        The policies whose states the cells must serve: of states (n, d) they give
+        probabilities (n, A). By default the uniform policy.
+    discount : float, default 0.99
+        The discount of the MDP, in [0, 1].
+    closure_episodes : int, default 2000
+        The number of episodes of the uniform policy by which what discretising costs is
+        measured; 0 means that it is not measured.
+    seed : int, Generator or SeedSequence, optional
+        The source of visited states and random disturbances, by default 0.
+
+    Returns
+    -------
+    Discretization
+        The finite MDP with its encoding.
 
     Raises
     ------
     ValueError
-        Cells that do not fit the task's features; a task whose step leaves the finite
-        numbers; a log of other states; a floor without a log and without others.
+        If the cells do not fit the task's features, the task's step leaves the finite
+        numbers, the log has other states, or there is a floor without a log and without
+        others.
 
     Warns
     -----
-    UserWarning
-        Where the closure error is beyond 5%.
+    DiscretizationWarning
+        If the closure error is beyond 5%.
+
+    See Also
+    --------
+    corrected_value : A value without cells.
+
+    Notes ----- A floor makes a *defensive* simulator, which gives probability to what
+    the target may do. It is another simulator: results made with it say so
+    (``metadata``), and ``plain`` is the one without. A ratio is at most K / floor
+    wherever the target lies in the convex hull of the K others.
 
     Examples
     --------
@@ -471,8 +566,9 @@ def discretize(
 
 
 def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
-    """With the uniform policy's closure error, and a warning where it is beyond the
-    tolerance and Monte Carlo's own error.
+    """Return the model with the uniform policy's closure error.
+
+    It warns where the error is beyond the tolerance and Monte Carlo's own error.
     """
     error, noise = model.closure_error(n_episodes=n_episodes)
     if abs(error) > TOLERANCE + 2.0 * noise:

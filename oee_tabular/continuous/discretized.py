@@ -1,6 +1,4 @@
-"""A continuous task as a FiniteMDP, with the way from continuous states and logs to its
-numbered states.
-"""
+"""Finite MDPs of continuous tasks, with the encoding of continuous states and logs."""
 
 from __future__ import annotations
 
@@ -39,19 +37,25 @@ N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discretization:
-    """A FiniteMDP made from a continuous task by ``discretize``, with the encoding that
-    belongs to it.
+    """A FiniteMDP made from a continuous task, with the encoding that belongs to it.
+
+    ``discretize`` makes it.
 
     Attributes
     ----------
-    mdp : FiniteMDP with one state for each cell and last, where episodes can end, the
-        one that is over
-    task : ContinuousTask whose states are encoded
-    places : the cells, and where the task was stepped
-    simulators : FiniteMDPs of the task without a floor, and of each of the ``others``
-    metadata : how it was made: plain numbers and words
-    diagnostics : ``closure_error`` and ``closure_standard_error`` of the uniform
-        policy, where measured
+    mdp : FiniteMDP
+        One state for each cell and last, where episodes can end, the terminal one.
+    task : ContinuousTask
+        The task whose states are encoded.
+    places : Places
+        The cells, and where the task was stepped.
+    simulators : tuple of FiniteMDP
+        The MDPs of the task without a floor, and of each of the ``others``.
+    metadata : dict
+        How it was made, in plain numbers and words.
+    diagnostics : dict
+        The ``closure_error`` and ``closure_standard_error`` of the uniform policy,
+        where they were measured, both relative to its value.
 
     Examples
     --------
@@ -71,6 +75,7 @@ class Discretization:
     diagnostics: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
+        """Describe task, cells and MDP in one line."""
         settings = ", ".join(
             f"{name}={value}" for name, value in self.task.parameters().items()
         )
@@ -81,32 +86,45 @@ class Discretization:
 
     @property
     def cells(self) -> Any:
-        """Where the states lie."""
+        """Return the cells in which the states lie."""
         return self.places.cells
 
     @property
     def points(self) -> Array:
-        """(p, d) states that stand for the cells."""
+        """Return states (p, d) that stand for the cells."""
         return self.places.points
 
     @property
     def plain(self) -> FiniteMDP:
-        """The task on the cells without a floor."""
+        """Return the task on the cells without a floor."""
         return self.simulators[0]
 
     @property
     def over(self) -> int | None:
-        """The number of the absorbing state in which episodes end, None where they do
-        not.
-        """
+        """Return the number of the terminal state, None where episodes do not end."""
         return self.cells.n_cells if self.task.terminates else None
 
     def policy(self, policy: StatePolicy | Array, name: str = "policy") -> Array:
-        """(S, A) a policy function in each state: its mean over the points of the cell;
-        uniform where it is over.
+        """Return a policy's probabilities in each state: its mean over the points of the cell.
 
-        An array is looked at as ``Problem`` looks at it; it may leave out the state
-        that is over.
+        Parameters
+        ----------
+        policy : function or ndarray of shape (S, A)
+            A function of states (n, d) giving probabilities (n, A); or probabilities on
+            the cells, which are checked as ``Problem`` checks them and may leave out
+            the terminal state.
+        name : str, default 'policy'
+            The name of the argument in errors.
+
+        Returns
+        -------
+        ndarray of shape (S, A)
+            The probabilities; uniform in the terminal state.
+
+        Raises
+        ------
+        ValueError
+            If they are no probabilities of the task's actions.
         """
         n_actions = self.task.n_actions
         if callable(policy):
@@ -121,12 +139,23 @@ class Discretization:
         return array if callable(policy) else check_policy(array, self.mdp, name=name)
 
     def policy_function(self, table: Array) -> StatePolicy:
-        """A policy of states from one on the cells: its mean over the cells that a
-        state is shared out to.
+        """Return a policy of states from one on the cells.
+
+        Parameters
+        ----------
+        table : ndarray of shape (S, A)
+            The probabilities on the cells.
+
+        Returns
+        -------
+        function
+            Of states (n, d) it gives probabilities (n, A): the mean over the cells that
+            a state is shared out to.
         """
         inner = np.asarray(table, dtype=np.float64)[: self.cells.n_cells]
 
         def interpolated(states: Array) -> Array:
+            """Return the mean of the table's rows over the cells of each state."""
             found = self.cells.weights(self.task.features(states)) @ inner
             return np.asarray(found / found.sum(axis=1, keepdims=True))
 
@@ -140,12 +169,29 @@ class Discretization:
         n_episodes: int = 2000,
         seed: Seed = 0,
     ) -> tuple[float, float]:
-        """What discretising costs: (J on the cells - J in the task) / scale, and its
-        standard error.
+        """Measure by how much the cells change the value of a policy.
 
-        J is the value of ``policy`` (default: uniform), in the task by Monte Carlo. The
-        scale is |J in the task|, or the standard deviation of a return if that is
-        larger (for returns that change sign).
+        Parameters
+        ----------
+        policy : function, optional
+            The policy: of states (n, d) it gives probabilities (n, A). By default it is
+            uniform.
+        horizon : int, default 100
+            The number of rewards.
+        n_episodes : int, default 2000
+            The number of Monte Carlo episodes in the task.
+        seed : int, Generator or SeedSequence, optional
+            The source of Monte Carlo's random numbers, by default 0.
+
+        Returns
+        -------
+        error : float
+            (J on the cells - J in the task) / scale.
+        standard_error : float
+            Its standard error, by Monte Carlo.
+
+        Notes ----- The scale is abs(J in the task), or the standard deviation of a
+        return if that is larger (for returns that change sign).
         """
         # what it compiles with is imported only here
         from oee_tabular.exact import policy_value
@@ -164,11 +210,23 @@ class Discretization:
         return (value - mc.value) / scale, mc.standard_error / scale
 
     def mixture(self, weights: Sequence[float] | Array) -> Discretization:
-        """The same states with sum_k w_k P_k over ``simulators``: another simulator,
-        and ``metadata`` says so.
+        """Return the same states with another simulator, sum_k w_k P_k over ``simulators``.
 
-        Raises ValueError unless there are as many weights as simulators, nonnegative,
-        summing to 1.
+        Parameters
+        ----------
+        weights : array_like of shape (len(simulators),)
+            Nonnegative weights that sum to 1.
+
+        Returns
+        -------
+        Discretization
+            The same but for its ``mdp``.
+
+        Raises
+        ------
+        ValueError
+            If there are not as many weights as simulators, or they are negative or do
+            not sum to 1.
         """
         shares = _checks.distribution(weights, "weights", (len(self.simulators),))
         used = [
@@ -187,8 +245,19 @@ class Discretization:
     def with_transitions(
         self, transitions: sparse.csr_array, rewards: Array | None = None
     ) -> FiniteMDP:
-        """Other transitions on the same states with the task's rewards (or these),
-        wherever they lead.
+        """Return an MDP on the same states with other transitions, wherever they lead.
+
+        Parameters
+        ----------
+        transitions : csr array of shape (S * A, S)
+            The transition probabilities.
+        rewards : ndarray of shape (S, A), optional
+            The rewards; by default the task's.
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP.
         """
         paid = self.plain.rewards if rewards is None else rewards
         plain = self.plain
@@ -198,12 +267,27 @@ class Discretization:
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
-        """Weights w of ``simulators`` that minimise the KL risk -sum_x n_x log sum_k
-        w_k P_k(x): zeta within their hull.
+        """Fit weights of ``simulators`` that minimise the KL risk of counts.
 
-        Convex in w; each step of EM decreases it. A simulator with the target's
-        parameters is found where the log is long: this is system identification, stated
-        as a ratio. Raises ValueError for a transition that none of them allows.
+        Parameters
+        ----------
+        counts : csr array of shape (S * A, S)
+            The counts of the log, with support in some simulator.
+
+        Returns
+        -------
+        ndarray of shape (len(simulators),)
+            The weights w, nonnegative, summing to 1.
+
+        Raises
+        ------
+        ValueError
+            If none of the simulators allows a transition of the counts.
+
+        Notes ----- The risk is -sum_x n_x log sum_k w_k P_k(x); the mixture is zeta
+        within the simulators' hull. It is convex in w, and each step of EM decreases
+        it. A simulator with the target's parameters is found where the log is long:
+        this is system identification, stated as a ratio.
         """
         entries = counts.tocoo()
         table = np.stack(
@@ -232,16 +316,28 @@ class Discretization:
     def encode_states(
         self, states: object, *, seed: Any = None, outside: str = "error"
     ) -> IntArray:
-        """(n,) the number of each state.
+        """Return the number of each state.
 
         Parameters
         ----------
-        states : (n, d) finite numbers
-        seed : without one, the state with the largest weight; with one, drawn by the
-            weights (so that the mean over draws is the interpolation)
-        outside : "error" | "nearest"
-            What to do with states outside the cells: name and count them, or take the
-            nearest place with a warning.
+        states : array_like of shape (n, d)
+            Finite numbers.
+        seed : int, Generator or SeedSequence, optional
+            Without one, each state has the number with the largest weight; with one, it
+            is drawn by the weights, so that the mean over draws is the interpolation.
+        outside : {'error', 'nearest'}, default 'error'
+            What is done with states outside the cells: an error that names and counts
+            them, or the nearest place with a warning.
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+            The numbers.
+
+        Raises
+        ------
+        ValueError
+            If states lie outside the cells and ``outside`` is 'error'.
         """
         _checks.one_of(outside, "outside", OUTSIDE[:2])
         array = check_states(self.task, states)
@@ -253,22 +349,30 @@ class Discretization:
     def encode(
         self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error"
     ) -> Transitions:
-        """The log with numbered states and actions, ready for ``Problem``.
+        """Return the log with numbered states and actions, ready for ``Problem``.
 
         Parameters
         ----------
-        seed : as in ``encode_states``; each state that episodes pass through is drawn
-            once
-        outside : "error" | "nearest" | "drop"
-            Rows with a state outside the cells: an error that names and counts them,
-            the nearest place, or left out (the rest is then a bag without episodes);
-            both of the latter with a warning.
+        log : ContinuousTransitions
+            A log of the task's states.
+        seed : int, Generator or SeedSequence, optional
+            As in ``encode_states``; each state that episodes pass through is drawn
+            once.
+        outside : {'error', 'nearest', 'drop'}, default 'error'
+            What is done with rows that have a state outside the cells: an error that
+            names and counts them, the nearest place, or to leave them out (the rest is
+            then a bag without episodes); both of the latter with a warning.
+
+        Returns
+        -------
+        Transitions
+            The encoded log.
 
         Raises
         ------
         ValueError
-            A log with other dimensions than the task; actions or states that the task
-            does not know.
+            If the log has other dimensions than the task, or actions or states that the
+            task does not know.
         """
         kept, actions, ended = self._select_rows(log, outside)
         draws: Any = (None, None)
@@ -298,13 +402,30 @@ class Discretization:
     def counts(
         self, log: ContinuousTransitions, *, outside: str = "error"
     ) -> sparse.csr_array:
-        """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr
-        of shape (S*A, S).
+        """Compute soft counts n(s, a, s'), sum over rows of w_s(state) w_s'(next_state).
 
-        The mean of ``encode(...).counts(...)`` over draws, without their noise.
-        Arguments and errors as there. On a grid, where a command moves the features
-        alike everywhere, a transition is carried to the vertex i of its box, and spread
-        as the simulator's rows are: w_j(vertex_i + phi(s') - phi(s)).
+        Parameters
+        ----------
+        log : ContinuousTransitions
+            A log of the task's states.
+        outside : {'error', 'nearest', 'drop'}, default 'error'
+            What is done with rows that have a state outside the cells, as in
+            ``encode``.
+
+        Returns
+        -------
+        csr array of shape (S * A, S)
+            The counts, which sum to the number of rows.
+
+        Raises
+        ------
+        ValueError
+            As in ``encode``.
+
+        Notes ----- They are the mean of ``encode(...).counts(...)`` over draws, without
+        their noise. On a grid, where a command moves the features alike everywhere, a
+        transition is carried to the vertex i of its box, and spread as the simulator's
+        rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
         kept, actions, ended = self._select_rows(log, outside)
         task = self.task
@@ -324,8 +445,20 @@ class Discretization:
         )
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
-        """The counts that lie where ``mdp`` has probability, and the share of those
-        that do not: to be reported with it.
+        """Return the counts where ``mdp`` has probability, and the share of those elsewhere.
+
+        Parameters
+        ----------
+        counts : csr array of shape (S * A, S)
+            The counts.
+
+        Returns
+        -------
+        kept : csr array of shape (S * A, S)
+            The counts with support.
+        share : float
+            The share of the counts without support, to be reported with what is made of
+            them.
         """
         matrix = canonical(counts, drop_zeros=True)
         kept = canonical(matrix.multiply(self.mdp.transitions != 0), drop_zeros=True)
@@ -333,11 +466,21 @@ class Discretization:
         return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
 
     def displacement_ties(self) -> IntArray:
-        """(nnz,) a tie for each entry of ``mdp.transitions``: the action, and how many
-        cells along each axis it leads.
+        """Return a tie for each entry of ``mdp.transitions``: its action and displacement.
 
-        For ``transition_ratio(tie=...)`` of tasks whose commands move the features
-        alike everywhere; on grids alone.
+        Returns
+        -------
+        ndarray of int, shape (nnz,)
+            The ties, for ``transition_ratio(tie=...)``; entries with the same number
+            share one ratio.
+
+        Raises
+        ------
+        ValueError
+            If the cells are no grid, or episodes can end.
+
+        Notes ----- The displacement is how many cells along each axis a transition
+        leads. It serves tasks whose commands move the features alike everywhere.
         """
         grid = self.cells
         matrix = self.mdp.transitions
@@ -357,7 +500,13 @@ class Discretization:
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the MDP as ``FiniteMDP.load`` reads it, with the metadata as JSON."""
+        """Write the MDP as ``FiniteMDP.load`` reads it, with the metadata as JSON.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, .npz.
+        """
         metadata = json.dumps(self.metadata | {"version": version("oee-tabular")})
         _files.save_npz(
             path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)}
@@ -366,9 +515,7 @@ class Discretization:
     def _select_rows(
         self, log: ContinuousTransitions, outside: str
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
-        """The rows that can be encoded, their action numbers, and which end in the
-        absorbing state.
-        """
+        """Return the rows that can be encoded, their action numbers, and which ones end."""
         require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
         task = self.task
@@ -412,8 +559,9 @@ class Discretization:
     def _outside(
         self, states: Array, ended: BoolArray, name: str, outside: str
     ) -> BoolArray:
-        """Which states that are not over lie outside the cells: an error or a warning
-        that counts them.
+        """Return which states that are not terminal lie outside the cells.
+
+        An error or a warning counts them.
         """
         features = self.task.features(states)
         gone = self.cells.outside(features) & ~ended
@@ -438,14 +586,12 @@ class Discretization:
 
 
 def uniform_policy_of(task: ContinuousTask) -> StatePolicy:
-    """Every action alike."""
+    """Return the policy that gives every action the same probability."""
     return lambda states: np.full((len(states), task.n_actions), 1.0 / task.n_actions)
 
 
 def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
-    """One state number a row: the heaviest, or the one that a uniform number (n,)
-    picks.
-    """
+    """Return a state number for each row: the heaviest, or the one that a draw (n,) picks."""
     low = weights.indptr[:-1]
     width = np.diff(weights.indptr)
     table = np.zeros((len(width), int(width.max())))

@@ -1,6 +1,4 @@
-"""Episodes of a continuous task: Monte Carlo values, recorded logs, and a log's own
-places visited again.
-"""
+"""Episodes of a continuous task: Monte Carlo values, recorded logs and resimulation."""
 
 from __future__ import annotations
 
@@ -28,6 +26,7 @@ CHUNK = 4096  # episodes of one random stream
 
 
 def _choose(probabilities: Array, uniform: Array) -> IntArray:
+    """Choose an action (n,) for each row of probabilities by a uniform number."""
     # columns: sums along short rows take thrice the time
     running = list(itertools.accumulate(probabilities.T))
     chosen = np.zeros(len(uniform), dtype=np.int64)
@@ -43,9 +42,14 @@ class MonteCarlo:
 
     Attributes
     ----------
-    value, standard_error : the mean and its standard error
-    deviation : standard deviation of one return
-    n_episodes : how many returns
+    value : float
+        The mean of the returns.
+    standard_error : float
+        The standard error of the mean.
+    deviation : float
+        The standard deviation of one return.
+    n_episodes : int
+        The number of returns.
 
     Examples
     --------
@@ -71,23 +75,42 @@ def monte_carlo_value(
     seed: Seed = None,
     normalized: bool = False,
 ) -> MonteCarlo:
-    """J = E[sum_{t<T} gamma^t r_t] of the continuous task by Monte Carlo: the truth
-    that discretised values are held to.
+    """Estimate J = E[sum_{t<T} gamma^t r_t] of a continuous task by Monte Carlo.
 
     Parameters
     ----------
     task : ContinuousTask
-    policy : function of states (n, d) giving probabilities (n, A)
-    n_episodes : how many returns are averaged
-    horizon : T, the number of rewards
-    discount : gamma, in [0, 1]
-    seed : the same seed gives the same bits
-    normalized : multiply by (1 - discount)
+        The task.
+    policy : function
+        The policy: of states (n, d) it gives probabilities (n, A).
+    n_episodes : int
+        The number of returns that are averaged.
+    horizon : int
+        T, the number of rewards.
+    discount : float, default 0.99
+        Gamma, in [0, 1].
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
+    normalized : bool, default False
+        Whether values are multiplied by (1 - discount).
 
-    Notes
-    -----
-    O(n_episodes * horizon) vectorised steps; episodes that are over are left out of
-    them.
+    Returns
+    -------
+    MonteCarlo
+        The mean, its standard error and the deviation of one return.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or ``normalized`` is asked for at discount 1.
+
+    See Also
+    --------
+    corrected_value : The value in a simulator that a log corrects.
+    policy_value : The exact value in a finite MDP.
+
+    Notes ----- It is the truth that discretised values are held to. Costs O(n_episodes
+    * horizon) vectorised steps, from which terminal episodes are left out.
 
     Examples
     --------
@@ -130,11 +153,11 @@ def compare_returns(
     discount: float,
     seed: np.random.SeedSequence,
 ) -> Array:
-    """(len(tasks), n) returns whose random numbers belong to the episode and the step:
-    tasks that are alike go alike.
+    """Sample returns (len(tasks), n) of several tasks with common random numbers.
 
-    By the difference of two tasks' returns their values are compared with a small part
-    of Monte Carlo's own error. All begin where the first does.
+    The random numbers belong to the episode and the step, so that tasks that are alike
+    go alike. By the difference of two tasks' returns their values are compared with a
+    small part of Monte Carlo's own error. All begin where the first does.
     """
     # which has spawned nothing
     fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
@@ -181,19 +204,34 @@ def record(
     Parameters
     ----------
     task : ContinuousTask
-    policy : function of states (n, d) giving probabilities (n, A)
-    n_transitions, n_episodes : positive int
-        Exactly one. With n_transitions the last episode is truncated where the log
-        ends.
-    max_steps : positive int
-        Episodes still going after so many steps are truncated, not terminated.
-    seed : the same seed gives the same bits
+        The task.
+    policy : function
+        The policy: of states (n, d) it gives probabilities (n, A).
+    n_transitions : int, optional
+        The number of transitions; the last episode is truncated where the log ends.
+        Exactly one of ``n_transitions`` and ``n_episodes`` is given.
+    n_episodes : int, optional
+        The number of episodes.
+    max_steps : int
+        Episodes that still go on after so many steps are truncated, not terminated.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
 
     Returns
     -------
     ContinuousTransitions
-        With rewards, termination, truncation, episodes and the probabilities of the
-        actions taken.
+        The log, with rewards, termination, truncation, episodes and the probabilities
+        of the actions taken.
+
+    Raises
+    ------
+    ValueError
+        If both or neither of ``n_transitions`` and ``n_episodes`` are given, or a
+        number is not a positive integer.
+
+    See Also
+    --------
+    resimulate : Step a log's own states and actions in a simulator.
 
     Examples
     --------
@@ -221,7 +259,7 @@ def record(
 
 
 def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
-    """Generators for CHUNK episodes each, spawned from ``seed``."""
+    """Return generators for CHUNK episodes each, spawned from ``seed``."""
     _checks.require_memory(9.0 * n, "n_episodes", n)
     sizes = [min(CHUNK, n - low) for low in range(0, n, CHUNK)]
     return list(zip(_checks.generator(seed).spawn(len(sizes)), sizes, strict=True))
@@ -234,8 +272,10 @@ def _walk(
     steps: int,
     rng: np.random.Generator,
 ) -> Iterator[tuple[IntArray, Array, IntArray, Array, Moves]]:
-    """Step by step of n episodes: which go on, their states, actions, the actions'
-    probabilities (n, A), and the step.
+    """Yield n episodes step by step.
+
+    Each step has the numbers of the episodes that go on, their states, actions, the
+    actions' probabilities (n, A), and the transitions.
     """
     alive = np.arange(n)
     states = task.initial_states(n, rng)
@@ -257,7 +297,7 @@ def _episodes(
     steps: int,
     rng: np.random.Generator,
 ) -> ContinuousTransitions:
-    """n episodes, sorted by episode and then by time."""
+    """Record n episodes, sorted by episode and then by time."""
     rows: list[tuple[object, ...]] = []
     for t, (alive, states, actions, probabilities, moved) in enumerate(
         _walk(task, policy, n, steps, rng)
@@ -289,15 +329,26 @@ def _episodes(
 def resimulate(
     task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None
 ) -> ContinuousTransitions:
-    """The log's own (s, a) stepped once in ``task``, the simulator.
-
-    Independent transitions, row by row those of ``log``.
+    """Step the states and actions of a log once in a simulator.
 
     Parameters
     ----------
-    task : ContinuousTask, the simulator
-    log : ContinuousTransitions, whose next states are not used
-    seed : of the simulator's noise
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions
+        The log, whose next states are not used.
+    seed : int, Generator or SeedSequence, optional
+        The source of the simulator's noise. The same seed gives the same bits.
+
+    Returns
+    -------
+    ContinuousTransitions
+        Independent transitions, in the order of the rows of ``log``.
+
+    Raises
+    ------
+    ValueError
+        If the log does not have the task's states and actions.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The state with the last actions in it, and a test of whether they matter.
+"""States that include the last actions, and a test of whether earlier actions matter.
 
 Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a).
 What a correction g leaves over is then predicted by the actions and the residuals of
@@ -43,19 +43,26 @@ SURE = 4.0
 
 
 class HistoryTask(DerivedTask):
-    """A task whose state includes its last actions, each as A coordinates: 1 at its
-    number, all 0 before an episode.
+    """A task whose state includes its last actions.
+
+    Each of the last actions has A coordinates: 1 at its number and 0 elsewhere, or 0 in
+    all before an episode. The task's own coordinates, actions, rewards and units stay.
 
     Parameters
     ----------
     task : ContinuousTask
-    steps : how many actions are kept, the last one first
+        The task.
+    steps : int, default 1
+        How many actions are kept, the last one first.
 
     Raises
     ------
     ValueError
-        ``steps`` below 0; a log of other states, or none of whose episodes is longer
-        than ``steps``.
+        If ``steps`` is below 0.
+
+    See Also
+    --------
+    ResidualSimulator : Correct such a task by a log.
 
     Notes
     -----
@@ -99,8 +106,23 @@ class HistoryTask(DerivedTask):
         self.periodic = tuple(task.periodic) + (False,) * len(last)
 
     def log(self, log: ContinuousTransitions) -> ContinuousTransitions:
-        """The log with the last actions in its states; rows that follow no other row of
-        their episode have none.
+        """Return the log with the last actions in its states.
+
+        Parameters
+        ----------
+        log : ContinuousTransitions
+            A log of the task's own states.
+
+        Returns
+        -------
+        ContinuousTransitions
+            The log; rows that follow no other row of their episode have no last action.
+
+        Raises
+        ------
+        ValueError
+            If the log has other states than the task, or no episode longer than
+            ``steps``.
         """
         require_log_of(self.task, log)
         actions = log.action_numbers(self.actions)
@@ -125,33 +147,86 @@ class HistoryTask(DerivedTask):
         return ContinuousTransitions(**(log.columns() | columns))
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
-        """A policy of the task's own states as one of these."""
+        """Return a policy of the task's own states as one of these states.
+
+        Parameters
+        ----------
+        policy : function
+            The policy: of the task's states (n, d) it gives probabilities (n, A).
+
+        Returns
+        -------
+        function
+            The policy of states with the last actions.
+        """
         _checks.function(policy, "policy")
         return lambda states: policy(states[:, : self.task.n_state])
 
     def own(self, states: Array) -> Array:
-        """Without the last actions."""
+        """Return the states without the last actions.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray
+            The task's own states, one row for each.
+        """
         return np.ascontiguousarray(states[:, : self.task.n_state])
 
     def _last(self, states: Array) -> Array:
-        """(n, steps A) the last actions in states, or in features."""
+        """Return the last actions (n, steps A) in states or in features."""
         return states[:, states.shape[1] - self.steps * self.n_actions :]
 
     def _append_action(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> Array:
+        """Return the task's next states with the actions taken and the earlier ones."""
         last = np.column_stack([np.eye(self.n_actions)[actions], self._last(states)])
         return np.column_stack([next_states, last[:, : self.steps * self.n_actions]])
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """The task's, and the action taken."""
+        """Take the task's step and keep the action taken.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, n_disturbances)
+            The disturbance xi, drawn from N(0, I).
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         moved = self.task.moves(self.own(states), actions, disturbance)
         return replace(
             moved, next_state=self._append_action(states, actions, moved.next_state)
         )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """The task's, and the action taken."""
+        """Take the task's random step and keep the action taken.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         moved = self.task.step(self.own(states), actions, rng)
         return replace(
             moved, next_state=self._append_action(states, actions, moved.next_state)
@@ -160,8 +235,22 @@ class HistoryTask(DerivedTask):
     def displacements(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> list[Array]:
-        """The task's, and f(s, b) - s under each of the last actions b; under the
-        present one where there was none.
+        """Return the task's displacements and those under each of the last actions.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        next_states : ndarray of shape (n, d)
+            Where the task's own step leads.
+
+        Returns
+        -------
+        list of ndarray
+            The task's own, then f(s, b) - s under each of the last actions b, or under
+            the present one where there was none.
         """
         own = self.own(states)
         past = self._last(states).reshape(len(states), self.steps, self.n_actions)
@@ -172,29 +261,83 @@ class HistoryTask(DerivedTask):
         return self.task.displacements(own, actions, self.own(next_states)) + earlier
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """The task's, without a last action."""
+        """Draw the task's initial states, without a last action.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            The states.
+        """
         return np.pad(
             self.task.initial_states(n, rng), ((0, 0), (0, self.steps * self.n_actions))
         )
 
     def initial_points(self) -> tuple[Array, Array]:
-        """The task's, without a last action."""
+        """Return the task's initial points, without a last action.
+
+        Returns
+        -------
+        states : ndarray of shape (m, d)
+            The states.
+        weights : ndarray of shape (m,)
+            Their weights, which sum to 1.
+        """
         points, weights = self.task.initial_points()
         return np.pad(points, ((0, 0), (0, self.steps * self.n_actions))), weights
 
     def features(self, states: Array) -> Array:
-        """The task's, and the last actions."""
+        """Return the task's features and the last actions.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, k)
+            The features.
+        """
         return np.column_stack(
             [self.task.features(self.own(states)), self._last(states)]
         )
 
     def smooth(self, states: Array) -> Array:
-        """The task's, and which of the last actions there were."""
+        """Return the task's smooth coordinates and which last actions there were.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, m)
+            The coordinates.
+        """
         last = self._last(states).reshape(len(states), self.steps, self.n_actions)
         return np.column_stack([self.task.smooth(self.own(states)), last.any(axis=2)])
 
     def embed(self, features: Array) -> Array:
-        """The task's, and the last actions."""
+        """Return states with the task's features and these last actions.
+
+        Parameters
+        ----------
+        features : ndarray of shape (n, k)
+            The features.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            The states.
+        """
         return np.column_stack(
             [
                 self.task.embed(features[:, : len(self.task.feature_names)]),
@@ -203,13 +346,20 @@ class HistoryTask(DerivedTask):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """The task's."""
+        """Return the task's parameters and the number of last actions.
+
+        Returns
+        -------
+        dict
+            The parameters, with the number of actions under "history".
+        """
         return self.task.parameters() | {"history": self.steps}
 
 
 def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
-    """Rows and the rows that follow them in the same episode; without episodes, where
-    the next row begins as they end.
+    """Return rows and the rows that follow them in the same episode.
+
+    Without episodes a row follows where it begins as the one before it ends.
     """
     order = (
         np.arange(len(log))
@@ -228,8 +378,9 @@ def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
 
 
 def earlier_rows(log: ContinuousTransitions, steps: int) -> IntArray:
-    """(n, steps) the rows one, two, ... steps before each in its episode; -1 where
-    there is none.
+    """Return the rows (n, steps) one, two, ... steps before each, -1 where none is.
+
+    They are rows of the same episode.
     """
     before, after = consecutive(log)
     last = np.full(len(log) + 1, -1)  # the last entry is that of no row
@@ -246,12 +397,18 @@ class HistoryEffect:
 
     Attributes
     ----------
-    r_squared : share of its mean square that all of the last five explain, on episodes
-        that the regression was not fitted to
-    lag, of : the step back, and "action" or "residual", that alone explains most
-    lag_r_squared : how much that is
-    part : root mean square of what they explain, of rows far from the others at most
-        ``CLIP`` root mean squares
+    r_squared : float
+        The share of its mean square that all of the last five explain, on episodes to
+        which the regression was not fitted.
+    lag : int
+        How many steps back the action or residual lies that alone explains most.
+    of : {'action', 'residual'}
+        Which of the two it is.
+    lag_r_squared : float
+        The share of the mean square that it explains.
+    part : float
+        The root mean square of what they explain, in the coordinate's unit. Rows far
+        from the others count with at most ``CLIP`` root mean squares.
     """
 
     r_squared: float = 0.0
@@ -272,15 +429,15 @@ def history_effects(
     is_free: BoolArray,
     least: Array,
 ) -> list[HistoryEffect]:
-    """What history explains of each coordinate's residual, beyond the action's own mean
-    and the residuals near by.
+    """Compute what history explains of each coordinate's residual.
 
-    By linear regressions on the last five actions, the steps that the simulator makes
-    under them, and the last five residuals, on smooth rows (no contacts); and on the
-    actions alone at all free rows (no stops), because a delay of a command that rarely
-    changes is a rare large residual too. None where fewer than 200 rows follow another,
-    or where what is explained is below ``least`` (k,) among the rows that were looked
-    at: a few odd rows do not make it larger.
+    What the action's own mean and the residuals near by explain is taken off first.
+    Linear regressions on the last five actions, the steps that the simulator makes
+    under them, and the last five residuals are fitted on smooth rows (no contacts), and
+    on the actions alone at all free rows (no stops), because a delay of a command that
+    rarely changes is a rare large residual too. There is no effect where fewer than 200
+    rows follow another, or where what is explained is below ``least`` (k,) among the
+    rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
     rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[
@@ -352,8 +509,9 @@ def history_effects(
 
 
 def hidden_state(learned: Any) -> str:
-    """Which earlier action or residual matters to a ``ResidualSimulator``, and by how
-    much; "" where the state is Markov.
+    """Describe which earlier action or residual matters most to a correction.
+
+    Returns "" where the state is Markov.
     """
     hidden = [c for c in learned.coordinates if c.hidden]
     # of equal ones, to rounding, in the task's order
@@ -386,8 +544,9 @@ def _mean_near(
     is_usable: BoolArray,
     group: IntArray,
 ) -> Array:
-    """(n, k) mean of the nearest rows of the same action in other folds: what (s, a)
-    explains, however rough.
+    """Compute the mean (n, k) of the nearest rows of the same action in other folds.
+
+    It is what (s, a) explains, however rough.
     """
     neighbors = Neighbors(task, states)
     mean = np.zeros_like(y)
@@ -403,9 +562,7 @@ def _mean_near(
 
 
 def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
-    """(n, k) squared errors of a linear regression, each row's by the fit to the other
-    folds.
-    """
+    """Compute squared errors (n, k) of a linear regression on held-out folds."""
     x = np.column_stack(inputs)
     errors = np.empty_like(y)
     for f in range(FOLDS):

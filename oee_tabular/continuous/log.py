@@ -1,5 +1,4 @@
-"""A log of transitions between states in R^d, before a task has encoded it into
-numbered states.
+"""Logs of transitions between states in R^d, before a task encodes them into numbers.
 
 The fields are those of ``Transitions``; in files a state is spread over the columns
 state_0, state_1, ..., next_state_0, ... An action is a number from the task's finite
@@ -44,8 +43,10 @@ NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
 
 class VectorFormat(Format):
-    """Columns of vectors, (n, d) in an npz, numbered in a table; Minari data sets are
-    read, not written.
+    """The format of logs whose columns are vectors.
+
+    Vectors are (n, d) arrays in an npz file and numbered columns in a table. Minari
+    data sets are read, not written.
     """
 
     kind = "continuous_transitions"
@@ -53,11 +54,11 @@ class VectorFormat(Format):
     writes_minari = False
 
     def is_known(self, label: str) -> bool:
-        """A log's column, or one coordinate of a vector."""
+        """Return whether a label is a log's column, or one coordinate of a vector."""
         return label in COLUMNS or NUMBERED.fullmatch(label) is not None
 
     def to_table(self, columns: Columns) -> Columns:
-        """One column for each coordinate."""
+        """Split each vector into one column for each coordinate."""
         flat: Columns = {}
         for name, column in columns.items():
             flat |= (
@@ -68,7 +69,7 @@ class VectorFormat(Format):
         return flat
 
     def from_table(self, flat: Columns, name: str) -> Columns:
-        """state_0, state_1, ... as one (n, d) column, whatever their order in the file."""
+        """Join state_0, state_1, ... into one column (n, d), by their numbers."""
         columns: Columns = {}
         parts: dict[str, dict[int, NDArray[Any]]] = {}
         for label, column in flat.items():
@@ -101,7 +102,7 @@ class VectorFormat(Format):
         return columns
 
     def require(self, labels: Iterable[str], name: str) -> None:
-        """The three of a move, whole or by their coordinates."""
+        """Raise a ValueError unless the three columns of a transition are there."""
         labels = list(labels)
         whole = [label for label in labels if label in COLUMNS]
         whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
@@ -118,7 +119,10 @@ class VectorFormat(Format):
     def check_episode(
         self, observations: NDArray[Any], actions: NDArray[Any], name: str
     ) -> None:
-        """Observations are vectors, actions numbers or vectors."""
+        """Raise a ValueError unless observations are vectors, and actions known forms.
+
+        Actions are numbers (n,) or vectors (n, k).
+        """
         if (
             observations.ndim != 2
             or observations.dtype.kind not in "fiu"
@@ -136,8 +140,9 @@ VECTORS = VectorFormat()
 
 
 def holds_states(path: str | os.PathLike[str]) -> bool:
-    """Whether a file or Minari data set is a log of continuous states; of tables only
-    the header is read.
+    """Return whether a file or Minari data set is a log of continuous states.
+
+    Of tables only the header is read.
     """
     name = _files.local(path)
     suffix = Path(name).suffix.lower()
@@ -156,28 +161,42 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class ContinuousTransitions(LogColumns):
-    """Logged transitions with continuous states, one per row; checked when made and
-    immutable.
+    """Logged transitions with continuous states, one per row, checked and immutable.
 
     Parameters
     ----------
-    state, next_state : (n, d) finite numbers
-    action : (n,) integers from 0, numbers of a task's actions; or (n, k) numbers, the
-        commands themselves
-    reward : (n,) finite numbers, optional
-    terminated, truncated, episode, timestep, behavior_probability : (n,), optional
-        As in ``Transitions``; within an episode each next_state is the following row's
-        state, up to a relative 1e-6.
+    state : array_like of shape (n, d)
+        The states, finite numbers.
+    action : array_like of shape (n,) or (n, k)
+        Integers from 0, the numbers of a task's actions; or the commands themselves.
+    next_state : array_like of shape (n, d)
+        The next states, finite numbers.
+    reward : array_like of shape (n,), optional
+        The rewards, finite numbers.
+    terminated : array_like of bool, shape (n,), optional
+        Whether the episode ended in the next state. By default no episode ended.
+    episode : array_like of int or str, shape (n,), optional
+        The episode of each row. Within an episode each next_state is the following
+        row's state, up to a relative 1e-6.
+    timestep : array_like of int, shape (n,), optional
+        The time t of each row, from 0; by default 0, 1, 2, ... within each episode.
+    behavior_probability : array_like of shape (n,), optional
+        The probability with which the behaviour policy took the action, in [0, 1].
+    truncated : array_like of bool, shape (n,), optional
+        Whether the recording stopped after the row, but not the task. By default it did
+        so in the last row of every episode that did not terminate.
 
     Raises
     ------
     ValueError
-        Names the column, the row, the rule and the value found.
+        If a column breaks a rule; the text names the column, the row, the rule and the
+        value found.
 
-    Notes
-    -----
-    ``Discretization.encode`` makes ``Transitions`` of it, ``Discretization.counts``
-    soft counts.
+    See Also
+    --------
+    Transitions : A log of numbered states.
+    Discretization.encode : Make ``Transitions`` of this log.
+    Discretization.counts : Make soft counts of this log.
 
     Examples
     --------
@@ -195,6 +214,7 @@ class ContinuousTransitions(LogColumns):
     def _moves(
         state: object, action: object, next_state: object
     ) -> dict[str, NDArray[Any] | None]:
+        """Check the states, actions and next states, and return them by name."""
         states = _vectors(state, "state")
         following = _vectors(next_state, "next_state")
         if following.shape[1] != states.shape[1]:
@@ -207,11 +227,12 @@ class ContinuousTransitions(LogColumns):
 
     @staticmethod
     def _differs(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
-        """Differ by more than a float32 copy does."""
+        """Return which rows (n,) differ by more than a float32 copy does."""
         far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
         return np.asarray(far.any(axis=1))
 
     def __repr__(self) -> str:
+        """Describe the log in two lines."""
         text = f"{len(self)} transitions of {self.n_state}-dimensional states"
         if self.episode is not None:
             text += f" in {len(np.unique(self.episode))} episodes"
@@ -227,16 +248,40 @@ class ContinuousTransitions(LogColumns):
 
     @property
     def n_state(self) -> int:
-        """The number d of coordinates of a state."""
+        """Return the number d of coordinates of a state."""
         return int(self.state.shape[1])
 
     def action_numbers(self, actions: object, *, strict: bool = False) -> IntArray:
-        """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
+        """Return the number of the task's action that each row took.
 
-        Commands are matched to the nearest action (Euclidean distance). Where one is
-        not in the set a warning says how many are not and the largest distance, or an
-        error does with ``strict``, and where one lies farther off than half of what the
-        actions are apart.
+        Parameters
+        ----------
+        actions : array_like of shape (A,) or (A, k)
+            The task's actions.
+        strict : bool, default False
+            Whether a command that is not one of the actions is an error, not a warning.
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+            The number of each row's action.
+
+        Raises
+        ------
+        ValueError
+            If the actions do not fit the log's; if, with ``strict``, a command is not
+            in the set; or if one lies farther off than half of what the actions are
+            apart.
+
+        Warns
+        -----
+        DataWarning
+            If commands are not in the set, with how many there are and the largest
+            distance.
+
+        Notes
+        -----
+        Commands are matched to the nearest action by Euclidean distance.
         """
         _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
@@ -294,6 +339,7 @@ class ContinuousTransitions(LogColumns):
 
 
 def _vectors(value: object, name: str) -> Array:
+    """Return a column of finite vectors as an array (n, d)."""
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
         hint = " (a log of numbered states: Transitions)" * (array.ndim == 1)
@@ -307,6 +353,7 @@ def _vectors(value: object, name: str) -> Array:
 
 
 def _actions(value: object) -> NDArray[Any]:
+    """Return the column of actions as numbers (n,) or commands (n, k)."""
     array = _checks.as_array(value, "action")
     if array.ndim not in (1, 2):
         raise ArgumentError(

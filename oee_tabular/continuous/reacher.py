@@ -1,23 +1,25 @@
-"""Reacher: an arm of two links in a plane (the paper's Section VI.C), with a mistaken
-length of the links; its policies.
+"""Reacher with links of a mistaken length (the paper's Section VI.C), and its policies.
 
-The state is (q1, q2, w1, w2): the shoulder's angle, the elbow's angle against the upper
-link, and their speeds in rad/s. Masses, inertias and drag are those that Bullet
-computes for its Reacher (capsules of radius 0.01 m and 1000 kg/m^3; boxes with a margin
-for the inertias; the armature and the damping of the model file ignored), steps are
-semi-implicit Euler. The reward is the paper's,
+The task is an arm of two links in a plane. The state is (q1, q2, w1, w2): the
+shoulder's angle, the elbow's angle against the upper link, and their speeds in rad/s.
+Masses, inertias and drag are those that Bullet computes for its Reacher (capsules of
+radius 0.01 m and 1000 kg/m^3; boxes with a margin for the inertias; the armature and
+the damping of the model file ignored), steps are semi-implicit Euler. The reward is the
+paper's,
 
-    r = 100 (d - d') - 0.01 (|a0 w0'| + |a1 w1'|) - 0.01 (|a0| + |a1|) - 0.1 [elbow at its stop],
+    r = 100 (d - d') - 0.01 (|a0 w0'| + |a1 w1'|) - 0.01 (|a0| + |a1|)
+        - 0.1 [elbow at its stop],
 
-d the distance from the fingertip to the target; Bullet's electricity cost 0.1 |a w| has
-w in units of 10 rad/s. Its first part telescopes, so that reward is made by getting
+d the distance from the fingertip to the target; Bullet's electricity cost 0.1 abs(a w)
+has w in units of 10 rad/s. Its first part telescopes, so that reward is made by getting
 there. The nine actions are part of the environment, and so is the target's place: the
 paper's Reacher draws another one each episode, which would make the state
 six-dimensional.
 
-The fingertip is left out of the state: with it in, arms of different lengths move on
+The fingertip is left out of the state: with it in, arms of different lengths stay on
 different manifolds, and no ratio exists. The reward is then one of joint angles and of
-a length: ``reward_length`` is the length it is paid by, the arm's own by default.
+a length: ``reward_length`` is the length by which it is computed, by default the arm's
+own.
 """
 
 from __future__ import annotations
@@ -50,12 +52,12 @@ FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 
 def link_bodies(length: float, inertia: str = "box") -> Array:
-    """(3, 3) mass (kg), distance of the centre of mass from the joint (m), moment about
-    it (kg m^2): upper link, lower, tip.
+    """Return mass, centre and moment of both links and the tip, (3, 3).
 
-    The tip is a ball 0.01 m beyond the lower link's end. ``inertia``: Bullet's "box"
-    around a link, m/12 [(2 r + .08)^2 + (l + 2 r + .08)^2], or that of the "capsule"
-    itself (MuJoCo's).
+    The columns are the mass (kg), the distance of the centre of mass from the joint (m)
+    and the moment about the centre (kg m^2). The tip is a ball 0.01 m beyond the lower
+    link's end. ``inertia`` is Bullet's "box" around a link, m/12 [(2 r + .08)^2 + (l +
+    2 r + .08)^2], or that of the "capsule" itself (MuJoCo's).
     """
     long = _checks.number_in(length, "length", 0.0, np.inf)
     if long == 0.0:
@@ -78,8 +80,9 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
 
 
 def fingertip(states: Array, length: float) -> Array:
-    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2),
-    sin(q1 + q2)), in m.
+    """Return where the fingertip is, (n, 2) in m.
+
+    It is at l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)).
     """
     q1 = states[:, 0]
     q12 = states[:, 0] + states[:, 1]
@@ -95,34 +98,53 @@ def fingertip(states: Array, length: float) -> Array:
 
 @dataclass(frozen=True)
 class Reacher(ContinuousTask):
-    """The arm, with the paper's reward and nine actions: torques gear * (-2/3, 0 or
-    2/3) in each joint.
+    """An arm of two links that reaches for a target, with the paper's reward.
+
+    The state is (q1, q2, w1, w2): the angles of the shoulder and of the elbow in rad
+    and their speeds in rad/s. The nine actions are torques of gear * (-2/3, 0 or 2/3) N
+    m in each joint, held for ``substeps * timestep`` s. The reward, without a unit, is
+    100 times the distance (m) by which the fingertip came nearer to the target, minus
+    small costs of torques, speeds and the elbow's stop. Episodes do not end.
 
     Parameters
     ----------
-    length : of each link, m; the paper's simulator has 0.1, its targets 0.2 and 0.05
-    reward_length : the length by which the reward finds the fingertip; None: the arm's
-        own
-    target : (x, y) in m
-    gear : torque of an action of 1, N m
-    damping : of each joint, N m s/rad
-    armature : inertia added to each joint, kg m^2
-    drag : Bullet's linear and angular damping, 0.04
-    timestep, substeps : s of an Euler step, and how many an action is held for
-    inertia : see ``link_bodies``
+    length : float, default 0.1
+        The length of each link in m. The paper's simulator has 0.1, its targets 0.2 and
+        0.05.
+    reward_length : float, optional
+        The length in m by which the reward finds the fingertip. None means the arm's
+        own.
+    target : tuple of two floats, default (0.1, 0.1)
+        The place (x, y) of the target in m.
+    gear : float, default 0.05
+        The torque of an action of 1, in N m.
+    damping : float, default 0.0
+        The damping of each joint, in N m s/rad.
+    armature : float, default 0.0
+        The inertia that is added to each joint, in kg m^2.
+    drag : float, default 0.04
+        Bullet's linear and angular damping.
+    timestep : float, default 0.0165
+        The duration of an Euler step in s.
+    substeps : int, default 1
+        The number of Euler steps for which an action is held.
+    inertia : {'box', 'capsule'}, default 'box'
+        The shape whose inertia the links have: Bullet's box or MuJoCo's capsule.
 
     Raises
     ------
     ValueError
-        Numbers out of range.
+        If a number is out of its range.
 
-    Notes
-    -----
-    A step is deterministic, O(n substeps). Episodes begin at rest, q1 uniform in
-    [-3.14, 3.14], q2 in
-    [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
-    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see
-    tests/continuous/test_tasks.py.
+    See Also
+    --------
+    reacher_policy : The expert, mixed with the uniform policy.
+    reacher_log : Record the paper's data.
+
+    Notes ----- A step is deterministic and costs O(n substeps). Episodes begin at rest,
+    q1 uniform in [-3.14, 3.14] and q2 in [-1.57, 1.57]. Features are (cos q1, sin q1,
+    q2, w1, w2). The arm was checked against MuJoCo, which knows no drag, with
+    ``inertia="capsule"``: see tests/continuous/test_tasks.py.
 
     Examples
     --------
@@ -174,13 +196,43 @@ class Reacher(ContinuousTask):
 
     @classmethod
     def tamed(cls, length: float = LENGTH, **changes: Any) -> Self:
-        """The variant for tests: damping 0.01 N m s/rad, an action held for 0.066 s; a
-        horizon of 25 is the paper's 1.65 s.
+        """Make the variant for tests, with damping and longer actions.
+
+        Parameters
+        ----------
+        length : float, default 0.1
+            The length of each link in m.
+        **changes : float, int, str or tuple
+            Other parameters of ``Reacher``, by name.
+
+        Returns
+        -------
+        Reacher
+            An arm with a damping of 0.01 N m s/rad, an action held for 0.066 s.
+
+        Notes
+        -----
+        A horizon of 25 is the paper's 1.65 s.
         """
         return cls(length, **({"damping": 0.01, "substeps": 4} | changes))
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step, and its reward."""
+        """Take one step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The angles (rad) and their speeds (rad/s).
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, 0)
+            Not used, because a step is deterministic.
+
+        Returns
+        -------
+        Moves
+            The next states and the rewards; no state is terminal.
+        """
         following = self.advance(
             states, self.actions[np.asarray(actions, dtype=np.int64)]
         )
@@ -190,8 +242,19 @@ class Reacher(ContinuousTask):
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
-        """(n, 4) the next states under commands (n, 2), which need not be among the
-        nine; torques are gear * command.
+        """Compute the next states under commands, which need not be among the nine.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The angles (rad) and their speeds (rad/s).
+        commands : ndarray of shape (n, 2)
+            The commands of both joints; torques are gear * command, in N m.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The next states.
         """
         mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
         inertia = moment + mass * centre**2
@@ -232,8 +295,9 @@ class Reacher(ContinuousTask):
         return np.stack([q1, q2, w1, w2], axis=1)
 
     def _drag(self, cosine: Array, w1: Array, w12: Array) -> tuple[Array, Array]:
-        """What Bullet's drag takes from the two joints' torques, for a drag of 1; the
-        links turn at w1 and w12.
+        """Compute what a Bullet drag of 1 takes from the torques of each joint, (n,).
+
+        The links turn at the speeds w1 and w12.
         """
         bodies = self._bodies  # type: ignore[attr-defined]
         length = self.length
@@ -255,21 +319,57 @@ class Reacher(ContinuousTask):
         return first, second
 
     def distance(self, states: Array) -> Array:
-        """(n,) from the fingertip (of ``reward_length``) to the target, m."""
+        """Compute the distance from the fingertip of ``reward_length`` to the target.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The distances in m.
+        """
         length = self.length if self.reward_length is None else self.reward_length
         return np.asarray(
             np.hypot(*(fingertip(states, length) - np.array(self.target)).T)
         )
 
     def reward_terms(self, states: Array) -> Array:
-        """(n, 4) the distance, the two speeds, and 1 where the elbow is within 1 % of
-        its stop, where Bullet's Reacher pays.
+        """Compute the functions of a state in which the reward is linear.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The distance (m), the absolute values of the two speeds (rad/s), and 1 where
+            the elbow is within 1% of its stop, where Bullet's Reacher has its penalty.
         """
         at_stop = np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01
         return np.column_stack([self.distance(states), np.abs(states[:, 2:]), at_stop])
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
-        """(n,) the paper's reward."""
+        """Compute the paper's reward from the reward terms.
+
+        Parameters
+        ----------
+        before : ndarray of shape (n, 4)
+            The reward terms of the states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        after : ndarray of shape (n, 4)
+            The reward terms of the next states.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The rewards.
+        """
         size = np.abs(self.actions[actions])
         paid = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * (
             size * (1.0 + after[:, 1:3])
@@ -277,46 +377,103 @@ class Reacher(ContinuousTask):
         return np.asarray(paid - 0.1 * after[:, 3])
 
     def others(self) -> tuple[Reacher, ...]:
-        """Arms with links half to twice as long."""
+        """Return arms whose links are 0.5, 0.7, 1.4 and 2 times as long.
+
+        Returns
+        -------
+        tuple of Reacher
+            The arms.
+        """
         return tuple(replace(self, length=factor * self.length) for factor in FACTORS)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """At rest, at any angle of the shoulder; the elbow within a quarter turn."""
+        """Draw states at rest, q1 within half a turn of 0, q2 within a quarter.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The states.
+        """
         return np.column_stack(
             [rng.uniform(-3.14, 3.14, n), rng.uniform(-1.57, 1.57, n), np.zeros((n, 2))]
         )
 
     def smooth(self, states: Array) -> Array:
-        """Both angles by cosine and sine."""
+        """Return both angles by cosine and sine, and the speeds.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 6)
+            The coordinates (cos q1, cos q2, sin q1, sin q2, w1, w2).
+        """
         return np.column_stack(
             [np.cos(states[:, :2]), np.sin(states[:, :2]), states[:, 2:]]
         )
 
     def features(self, states: Array) -> Array:
-        """(cos q1, sin q1, q2, w1, w2)."""
+        """Return the features (cos q1, sin q1, q2, w1, w2).
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 4)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 5)
+            The features, in rad and rad/s where they have a unit.
+        """
         return np.column_stack(
             [np.cos(states[:, 0]), np.sin(states[:, 0]), states[:, 1:]]
         )
 
     def embed(self, features: Array) -> Array:
-        """A state with these features: q1 by the angle of (cos q1, sin q1)."""
+        """Return states with these features, q1 the angle of (cos q1, sin q1).
+
+        Parameters
+        ----------
+        features : ndarray of shape (n, 5)
+            The features.
+
+        Returns
+        -------
+        ndarray of shape (n, 4)
+            The states.
+        """
         return np.column_stack(
             [np.arctan2(features[:, 1], features[:, 0]), features[:, 2:]]
         )
 
     def parameters(self) -> dict[str, Any]:
-        """Every parameter."""
+        """Return every parameter by name.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return {
             own.name: getattr(self, own.name) for own in fields(self) if own.init
         } | {"target": list(self.target)}
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
-    """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >=
-    0).
+    """Return angles (q1, q2) in rad that put the fingertip on ``target``.
 
-    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a
-    target out of the arm's reach.
+    The elbow is bent to the left, q2 >= 0, with cos q2 = (x^2 + y^2 - l^2 - (l +
+    .01)^2) / (2 l (l + .01)). Raises a ValueError for a target out of the arm's reach.
     """
     x, y = _checks.float_array(target, "target")
     far = length + RADIUS
@@ -338,21 +495,35 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ReacherPolicy:
-    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4)
-    giving probabilities (n, 9).
+    """The expert mixed with the uniform policy: delta * uniform + (1 - delta) * expert.
 
-    The expert (ours: the paper's is lost) is a proportional-derivative controller of
-    the joint angles that put the *simulator's* fingertip on the target, u = stiffness *
-    (q* - q) - brake * w, each joint taking the nearest of its three levels. It believes
-    in the simulator's links whatever the arm.
+    It is a function of states (n, 4) giving probabilities (n, 9). The expert (ours: the
+    paper's is lost) is a proportional-derivative controller of the joint angles that
+    put the *simulator's* fingertip on the target,
+
+        u = stiffness * (q* - q) - brake * w,
+
+    each joint taking the nearest of its three levels. It believes in the simulator's
+    links whatever the arm.
 
     Parameters
     ----------
-    delta : share of random actions, in [0, 1]: the opposite sense to the gridworld, as
-        in the paper
-    target : (x, y) in m
-    length : of the links that the expert believes in, m
-    stiffness, brake : of the controller
+    delta : float, default 0.0
+        The share of random actions, in [0, 1]. The sense is opposite to the
+        gridworld's, as in the paper.
+    target : tuple of two floats, default (0.1, 0.1)
+        The place (x, y) of the target in m.
+    length : float, default 0.1
+        The length in m of the links that the expert believes in.
+    stiffness : float, default 4.0
+        The controller's gain of the angles, in actions per rad.
+    brake : float, default 0.5
+        The controller's gain of the speeds, in actions per rad/s.
+
+    Raises
+    ------
+    ValueError
+        If ``delta`` is outside of [0, 1], or the target out of the arm's reach.
 
     Examples
     --------
@@ -371,7 +542,7 @@ class ReacherPolicy:
         object.__setattr__(self, "_aim", joint_angles(self.target, self.length))
 
     def __call__(self, states: Array) -> Array:
-        """(n, 9) probabilities of the actions, in the order of ``Reacher.actions``."""
+        """Return the probabilities (n, 9) of the actions, in the task's order."""
         aim = self._aim  # type: ignore[attr-defined]
         turn = aim[0] - states[:, 0]
         errors = np.column_stack(
@@ -390,20 +561,28 @@ reacher_policy = ReacherPolicy
 def reacher_log(
     task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
 ) -> ContinuousTransitions:
-    """The paper's data: n transitions by pi_delta, delta = 0, .1, ..., 1 in equal
-    parts, episodes of ``max_steps``.
+    """Record the paper's data: transitions by pi_delta, delta = 0, 0.1, ..., 1.
 
     Parameters
     ----------
-    task : Reacher, the target's arm
-    n : transitions in all
-    max_steps : transitions of an episode
-    seed : the same seed gives the same bits
+    task : Reacher
+        The target's arm.
+    n : int
+        The number of transitions in all, in equal parts for each delta.
+    max_steps : int, default 150
+        The number of transitions after which an episode is truncated.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
+
+    Returns
+    -------
+    ContinuousTransitions
+        The log.
 
     Raises
     ------
     ValueError
-        ``n`` or ``max_steps`` not a positive integer.
+        If ``n`` or ``max_steps`` is not a positive integer.
 
     Examples
     --------

@@ -1,5 +1,4 @@
-"""A simulator corrected by what a log leaves over: ``ResidualSimulator``, a
-``ContinuousTask`` again.
+"""Simulators corrected by the residuals of a log, which are tasks again.
 
     s' = f(s, a) + g(s, a) + e
 
@@ -12,8 +11,8 @@ p that of g + e,
     zeta(s, a, s') = p(s' - f(s, a) | s, a) / q(s' - f(s, a)),
 
 so that transitions of one displacement from f share what the log says of it. No cells,
-and no support: the corrected simulator is stepped, not weighted. Cells, ratios and
-exact values can come after it, as after any simulator.
+and no support: the corrected simulator (``ResidualSimulator``) is stepped, not
+weighted. Cells, ratios and exact values can come after it, as after any simulator.
 """
 
 from __future__ import annotations
@@ -75,23 +74,35 @@ MET = 0.1
 
 @dataclass(frozen=True)
 class Coordinate:
-    """What a log says of one coordinate of the next state (or of the reward): how the
-    target differs, and is it Markov.
+    """What a log says of one coordinate of the next state, or of the reward.
+
+    It says how the target differs, and whether the coordinate is Markov.
 
     Attributes
     ----------
-    name : the coordinate's
-    kind, per_action : the class of functions that g is of, and whether each action has
-        its own coefficients
-    t_statistic : how many standard errors what g explains is from 0
-    simulator_scatter, residual_scatter : root mean squares, of the simulator's own step
-        about f and of s' - f(s, a) in the log
-    left_over : root mean square of s' - f(s, a) - g(s, a)
-    displacement : standard deviation of s' - s in the log (of the reward)
-    explained : share of the residual's mean square, of every row, that g explains on
-        episodes that it was not fitted to
-    scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
-    history : what earlier actions and residuals explain of what is left over
+    name : str
+        The coordinate's name.
+    kind : str
+        The class of functions to which g belongs.
+    per_action : bool
+        Whether each action has its own coefficients.
+    t_statistic : float
+        How many standard errors what g explains is from 0.
+    simulator_scatter : float
+        The root mean square of the simulator's own step about f.
+    residual_scatter : float
+        The root mean square of s' - f(s, a) in the log.
+    left_over : float
+        The root mean square of s' - f(s, a) - g(s, a).
+    displacement : float
+        The standard deviation of s' - s in the log (of the reward).
+    explained : float
+        The share of the residual's mean square, of every row, that g explains on
+        episodes to which it was not fitted.
+    scatter : {'none', 'simulator', 'log'}
+        Where the noise about f + g is taken from.
+    history : HistoryEffect
+        What earlier actions and residuals explain of what is left over.
     """
 
     name: str
@@ -108,8 +119,9 @@ class Coordinate:
 
     @property
     def differs(self) -> bool:
-        """Whether the target's step differs from the simulator's: g is surely not zero,
-        or the scatter is another.
+        """Return whether the target's step differs from the simulator's.
+
+        It does where g is surely not zero, or where the scatter is another.
         """
         is_alike = (
             abs(self.left_over - self.simulator_scatter)
@@ -119,15 +131,16 @@ class Coordinate:
 
     @property
     def unexplained(self) -> float:
-        """Held-out mean square error of f + g, in units of the displacement's variance."""
+        """Return the held-out mean square error of f + g over the displacement's variance."""
         if self.displacement == 0.0:
             return 0.0
         return (1.0 - self.explained) * (self.residual_scatter / self.displacement) ** 2
 
     @property
     def hidden(self) -> bool:
-        """Whether something that is not in the state decides: history explains enough
-        of what is left over.
+        """Return whether history explains enough of what is left over.
+
+        Something that is not in the state then decides the next one.
         """
         return (
             self.history.r_squared > HIDDEN
@@ -136,29 +149,44 @@ class Coordinate:
 
 
 class ResidualSimulator(DerivedTask):
-    """The task, its step corrected by the residuals s' - f(s, a) of a log.
+    """A task whose step is corrected by the residuals s' - f(s, a) of a log.
+
+    Its states, actions, rewards and units are the task's.
 
     Parameters
     ----------
-    task : ContinuousTask, the simulator
-    log : ContinuousTransitions of the target
-    seed : of the random functions that g may be made of, and of the simulator's scatter
-        that the log's is compared with
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions
+        A log of the target.
+    seed : int, Generator or SeedSequence, optional
+        The source of the random functions of which g may be made, and of the
+        simulator's scatter, with which the log's is compared.
 
     Attributes
     ----------
-    coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward
-        where it had to be learned
-    fits : g of each of them; see ``regression.Fit``
-    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops,
-        and what g leaves of it
-    units : the columns that seem to be in another unit than the simulator's, and in
-        which; "" where none does
+    coordinates : tuple of Coordinate
+        One for each coordinate of the state, and one for the reward where it had to be
+        learned.
+    fits : list of Fit
+        g of each of them; see ``regression.Fit``.
+    residuals : ndarray of shape (n, k)
+        s' - f(s, a) of the log's rows, f without its stops.
+    left_over : ndarray of shape (n, k)
+        What g leaves of the residuals.
+    units : str
+        The columns that seem to be in another unit than the simulator's, and in which;
+        "" where none does.
 
     Raises
     ------
     ValueError
-        A log of other states than the task's, or of actions that it has not.
+        If the log has other states than the task, or actions that it has not.
+
+    See Also
+    --------
+    corrected_value : The value of a policy in the corrected simulator.
+    fit_parameters : Fit a simulator's physical parameters first.
 
     Notes
     -----
@@ -244,8 +272,9 @@ class ResidualSimulator(DerivedTask):
         is_free: BoolArray,
         rng: np.random.Generator,
     ) -> BoolArray:
-        """Fit g to smooth rows, which it finds by what g leaves over; then what is lost
-        at stops.
+        """Fit g to smooth rows, and then what is lost at stops; return which rows are smooth.
+
+        Rows are smooth where g leaves no outlying residual.
         """
         d = self.n_state
         free = self._stops.free(self.task, log.state, actions, own.next_state)
@@ -293,8 +322,9 @@ class ResidualSimulator(DerivedTask):
         return last
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
-        """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states
-        without its stops.
+        """Return what g depends on besides (s, a), (n, m).
+
+        ``free`` are the simulator's next states without its stops.
         """
         return np.column_stack(
             [
@@ -304,8 +334,9 @@ class ResidualSimulator(DerivedTask):
         )
 
     def _is_outlying(self, left: Array) -> BoolArray:
-        """(n,) rows with a residual far beyond the others', where they are few:
-        contacts, stops.
+        """Return which rows (n,) have a residual far beyond the others', where they are few.
+
+        Contacts and stops are such rows.
         """
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * root_mean_square(self.residuals)
@@ -316,12 +347,13 @@ class ResidualSimulator(DerivedTask):
         )
 
     def _set_fits(self, fits: list[Fit]) -> None:
+        """Take these fits for g."""
         self.fits = fits
         self._is_zero = not any(len(fit.columns) for fit in fits)
         self._coefficients = self._functions.stack(fits)
 
     def _correction(self, states: Array, actions: IntArray, free: Array) -> Array:
-        """(n, k) g(s, a), within what was logged."""
+        """Compute g(s, a), (n, k), within what was logged."""
         if self._is_zero:
             return np.zeros((len(states), len(self.fits)))
         displacements = self._displacements(states, actions, free)
@@ -336,8 +368,9 @@ class ResidualSimulator(DerivedTask):
         is_smooth: BoolArray,
         is_free: BoolArray,
     ) -> tuple[Coordinate, ...]:
-        """One ``Coordinate`` each; rows that g was not fitted to count by what it
-        leaves of them.
+        """Return a ``Coordinate`` for each target.
+
+        Rows to which g was not fitted count by what it leaves of them.
         """
         scatter = self._scatter
         left = root_mean_square(self.left_over)
@@ -390,8 +423,18 @@ class ResidualSimulator(DerivedTask):
         )
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
-        """The same corrected by a bootstrap's log: groups of whole episodes drawn with
-        replacement, g of the same classes.
+        """Return the simulator corrected by a bootstrap's log.
+
+        Parameters
+        ----------
+        seed : int, Generator or SeedSequence, optional
+            The source of random numbers. The same seed gives the same bits.
+
+        Returns
+        -------
+        ResidualSimulator
+            The same with g, of the same classes, fitted to groups of whole episodes
+            drawn with replacement.
         """
         weights = draw_groups(len(self._grams.g), seed)
         again = copy.copy(self)
@@ -401,15 +444,17 @@ class ResidualSimulator(DerivedTask):
 
     @property
     def rewards(self) -> tuple[float, float]:
-        """The least and the largest reward of the log and of the simulator's own steps
-        from its rows.
+        """Return the least and the largest reward that is known.
+
+        Known are those of the log and of the simulator's own steps from its rows.
         """
         return float(self._known_rewards.min()), float(self._known_rewards.max())
 
     @property
     def hidden_part(self) -> float:
-        """The largest part of a step, in its deviations, that history explains; 0 where
-        the state is Markov.
+        """Return the largest part of a step, in its deviations, that history explains.
+
+        It is 0 where the state is Markov.
         """
         return max(
             (c.history.part / c.displacement for c in self.coordinates if c.hidden),
@@ -418,14 +463,24 @@ class ResidualSimulator(DerivedTask):
 
     @property
     def held_out_error(self) -> float:
-        """Mean square one-step error on held-out episodes, in the displacement's
-        variance, summed over coordinates.
+        """Return the mean square one-step error on held-out episodes.
+
+        It is in units of the displacement's variance, summed over coordinates.
         """
         return sum(c.unexplained for c in self.coordinates)
 
     def beyond(self, states: Array) -> BoolArray:
-        """(n,) states with a feature outside the range of the log's, where no data
-        support g.
+        """Return which states have a feature outside the range of the log's.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether no data support g there.
         """
         features = self.task.features(states)
         (low, high) = self._range
@@ -433,8 +488,22 @@ class ResidualSimulator(DerivedTask):
 
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One corrected step; the last disturbance chooses e, where it is drawn from
-        the log.
+        """Take one corrected step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, n_disturbances)
+            The disturbance xi, whose last component chooses e where that is drawn from
+            the log.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
         """
         actions = np.asarray(actions, dtype=np.int64)
         scatter = self._scatter
@@ -471,8 +540,24 @@ class ResidualSimulator(DerivedTask):
         )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """One random step; what chooses e is a stream of its own, so that ``rng`` gives
-        what it gives to the task.
+        """Take one random step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+
+        Notes ----- What chooses e is a stream of its own, so that ``rng`` gives the
+        same numbers that it gives to the task.
         """
         xi = rng.standard_normal((len(states), self.task.n_disturbances))
         if self._scatter.drawn.any():
@@ -480,7 +565,7 @@ class ResidualSimulator(DerivedTask):
         return self.moves(states, actions, xi)
 
     def _clip(self, following: Array) -> Array:
-        """Within the stops, and within one turn where the task is."""
+        """Return next states within the stops, and within one turn where the task's are."""
         inside = np.clip(following, *self._stops.bounds)
         turned = self._start + (inside - self._start) % np.where(
             self._wraps, self._periods, 1.0
@@ -496,8 +581,10 @@ class ResidualSimulator(DerivedTask):
         own: Moves,
         added: Array,
     ) -> Array:
-        """r(s, a, s'); the simulator's own and what was learned where a task has none,
-        or that of the nearest such end.
+        """Compute the rewards of steps.
+
+        They are r(s, a, s') where the task knows it; otherwise the simulator's own with
+        what was learned, or that of the nearest step that ended alike.
         """
         known = self.task.reward_between(states, actions, following)
         if known is not None:
@@ -517,7 +604,14 @@ class ResidualSimulator(DerivedTask):
         return reward
 
     def parameters(self) -> dict[str, Any]:
-        """The task's, and what the correction is made of."""
+        """Return the task's parameters, and what the correction is made of.
+
+        Returns
+        -------
+        dict
+            The parameters, with the number of transitions and the class of each
+            coordinate's correction.
+        """
         learned = {c.name: [c.kind, c.per_action, c.scatter] for c in self.coordinates}
         return self.task.parameters() | {
             "corrected_by_moves": len(self.residuals),
@@ -528,14 +622,15 @@ class ResidualSimulator(DerivedTask):
 def other_units(
     task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array
 ) -> str:
-    """Which columns are in another unit than the simulator's, and in which; "" where
-    none is, or no factor makes steps alike.
+    """Describe which columns are in another unit than the simulator's, and in which.
 
-        miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),   c a factor for each column
+        miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),
+        c a factor for each column
 
-    Columns one by one, and in pairs by the same factor: the least sum of misses of
-    those that bring a coordinate from more than half to less than a tenth. One call of
-    f with 500 rows, some 200 where a coordinate is missed.
+    Columns are tried one by one, and in pairs by the same factor: it is the least sum
+    of misses of those that bring a coordinate from more than half to less than a tenth.
+    Returns "" where no column is in another unit, or no factor makes steps alike. Costs
+    one call of f with 500 rows, some 200 where a coordinate is missed.
     """
     d = task.n_state
     rows = np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64)
@@ -543,6 +638,7 @@ def other_units(
         return ""
 
     def miss(factors: Array) -> Array:
+        """Return the share (d,) of each displacement by which the simulator misses it."""
         before = factors * log.state[rows]
         after = factors * log.next_state[rows]
         with np.errstate(all="ignore"):  # states that no simulator was made for

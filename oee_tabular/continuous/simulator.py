@@ -1,9 +1,8 @@
-"""A continuous simulator with the configuration by which logs are evaluated in it:
-``ContinuousSimulator``.
+"""Continuous simulators with the configuration by which logs are evaluated in them.
 
-Its task has finitely many actions, which of a Gymnasium action space are chosen here
-(``action_set``). Policies may say commands or numbers of actions in place of
-probabilities (``as_probabilities``).
+The task of a ``ContinuousSimulator`` has finitely many actions; which of a Gymnasium
+action space, ``gymnasium_named.action_set`` chooses. Policies may give commands or
+numbers of actions in place of probabilities (``as_probabilities``).
 """
 
 from __future__ import annotations
@@ -34,11 +33,12 @@ SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
-    """A policy that may say, for states (n, d), probabilities (n, A), action numbers
-    (n,) or commands (n, k).
+    """Return a policy as one that gives probabilities (n, A).
 
-    A command between those of a product grid is shared out among its neighbours so that
-    its mean is kept; elsewhere the nearest of ``actions`` (A, k) is taken.
+    The policy may give, for states (n, d), probabilities (n, A), action numbers (n,) or
+    commands (n, k). A command between those of a product grid is shared out among its
+    neighbours so that its mean is kept; elsewhere the nearest of ``actions`` (A, k) is
+    taken.
 
     Examples
     --------
@@ -56,20 +56,31 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
 
 @dataclass(frozen=True, eq=False)
 class CommandPolicy:
-    """``policy`` of states as probabilities of ``actions``; made by
-    ``as_probabilities``.
+    """A policy of states as probabilities of ``actions``; made by ``as_probabilities``.
+
+    Attributes
+    ----------
+    policy : function
+        The policy as it was given.
+    actions : ndarray of shape (A,) or (A, k)
+        The task's actions.
     """
 
     policy: Callable[[Array], Any]
     actions: Array
 
     def __call__(self, states: Array) -> Array:
-        """(n, A) probabilities; what is neither these, numbers nor commands as it is."""
+        """Return probabilities (n, A).
+
+        What is neither probabilities, numbers nor commands is returned as it is.
+        """
         return self._play(states)[0]
 
     def rounding(self, states: Array) -> tuple[float, float]:
-        """How far the actions are from the commands (root mean square), and the share
-        of these that is cut to their range.
+        """Compute how far the actions are from the commands, and the share that is cut.
+
+        The distance is a root mean square. Commands are cut where they lie beyond the
+        range of the actions.
         """
         weights, commands = self._play(states)
         if commands is None:
@@ -84,9 +95,7 @@ class CommandPolicy:
         )
 
     def _play(self, states: Array) -> tuple[Array, Array | None]:
-        """Probabilities, and the commands (n, k) that they are of, where the policy
-        gave such.
-        """
+        """Return probabilities, and the commands (n, k) where the policy gave such."""
         found = np.asarray(ask_policy(self.policy, states))
         n = len(states)
         actions = self.actions
@@ -113,8 +122,9 @@ class CommandPolicy:
 
 
 def _interpolate_weights(commands: Array, actions: Array) -> Array:
-    """(n, A) multilinear weights on a product grid, the nearest where the actions are
-    none.
+    """Compute multilinear weights (n, A) on a product grid of actions.
+
+    Where the actions are no product grid, the nearest has the weight 1.
     """
     levels = [np.unique(column) for column in actions.T]
     shape = tuple(len(each) for each in levels)
@@ -140,21 +150,38 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
 class ContinuousSimulator:
     """A continuous task with the settings by which logs are evaluated in it.
 
-    Attributes
+    Parameters
     ----------
-    name : str, as it was given
+    name : str
+        The name, as it was given.
     task : ContinuousTask
-    expert : function of states (n, d) giving probabilities (n, A); None where there is
-        none
-    horizon : of an episode and of a value, where none is given
-    floor : share of the defensive simulator's other steps, where a log is evaluated on
-        cells
-    ratio : options of ``transition_ratio`` for the counts on cells
-    calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
-    policies : those whose states the cells must serve
-    episodes : of Monte Carlo, for each policy
-    refits, refit_paths : of a corrected simulator, and the episodes by which each is
-        compared with it
+        The task.
+    expert : function or None
+        The expert: of states (n, d) it gives probabilities (n, A). None where there is
+        none.
+    horizon : int
+        The number of steps of an episode, and of rewards of a value, where none is
+        given.
+    floor : float, default 0.0
+        The share of the defensive simulator's other steps, where a log is evaluated on
+        cells.
+    ratio : mapping, optional
+        The options of ``transition_ratio`` for the counts on cells.
+    calibration : {'ratio', 'difference', 'none'}, default 'ratio'
+        How values on cells are calibrated; see ``estimators.calibrate``.
+    policies : tuple of functions, default ()
+        The policies whose states the cells must serve.
+    episodes : int, default 50000
+        The number of Monte Carlo episodes for each policy.
+    refit_paths : int, default 1000
+        The number of episodes by which each refit is compared with the corrected
+        simulator.
+    refits : int, default 20
+        The number of refits of a corrected simulator.
+
+    See Also
+    --------
+    gymnasium_simulator : Make one of a Gymnasium environment.
 
     Examples
     --------
@@ -177,11 +204,28 @@ class ContinuousSimulator:
     refits: int = 20
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
-        """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else
-        uniform; or ``module:function``.
+        """Return the policy that a specification names.
 
-        The function takes states (n, d) and gives probabilities (n, A), action numbers
-        (n,) or commands (n, k); see ``as_probabilities``.
+        Parameters
+        ----------
+        spec : str
+            ``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else
+            uniform; or ``module:function``.
+        name : str, default 'policy'
+            The name of the argument in errors.
+
+        Returns
+        -------
+        function
+            The policy: of states (n, d) it gives probabilities (n, A).
+
+        Raises
+        ------
+        ValueError
+            If the specification names no policy of the task.
+
+        Notes ----- A function of one's own takes states (n, d) and gives probabilities
+        (n, A), action numbers (n,) or commands (n, k); see ``as_probabilities``.
         """
         expert = self.expert
         if spec == "uniform":
@@ -218,8 +262,31 @@ class ContinuousSimulator:
         cells: Any = None,
         **options: Any,
     ) -> Discretization:
-        """The finite MDP of the task, looked at where the log was; ``floor`` and
-        ``discount`` as in ``tasks.discretize``.
+        """Make the finite MDP of the task, looked at where the log was.
+
+        Parameters
+        ----------
+        log : ContinuousTransitions, optional
+            A log of the target, at whose states and actions the task is stepped.
+        cells : int, tuple of int or a form of ``tasks.discretize``, optional
+            Where the states lie; by default the task's own.
+        floor : float, default 0.0
+            The share of the defensive simulator's other steps, in [0, 1].
+        others : sequence of ContinuousTask, optional
+            The task under other parameters, as in ``tasks.discretize``.
+        discount : float, default 0.99
+            The discount of the MDP, in [0, 1].
+        seed : int, Generator or SeedSequence, optional
+            The source of visited states and random disturbances, by default 0.
+
+        Returns
+        -------
+        Discretization
+            The finite MDP with its encoding.
+
+        See Also
+        --------
+        discretize : The function that it calls.
         """
         chosen = self.task.default_cells if cells is None else cells
         if isinstance(chosen, int):
@@ -236,8 +303,31 @@ class ContinuousSimulator:
     def record(
         self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any
     ) -> ContinuousTransitions:
-        """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as
-        in ``tasks.record``.
+        """Record a log of the simulator.
+
+        Parameters
+        ----------
+        policy : function
+            The policy: of states (n, d) it gives probabilities (n, A).
+        max_steps : int, optional
+            The number of steps after which episodes are truncated; by default the
+            horizon.
+        n_transitions : int, optional
+            The number of transitions. Exactly one of ``n_transitions`` and
+            ``n_episodes`` is given.
+        n_episodes : int, optional
+            The number of episodes.
+        seed : int, Generator or SeedSequence, optional
+            The source of random numbers. The same seed gives the same bits.
+
+        Returns
+        -------
+        ContinuousTransitions
+            The log.
+
+        See Also
+        --------
+        record : The function that it calls.
         """
         return record(
             self.task,
@@ -250,8 +340,9 @@ class ContinuousSimulator:
 def as_simulator(
     task: ContinuousTask, horizon: int | None, **options: Any
 ) -> ContinuousSimulator:
-    """A task as a simulator, configured as a Gymnasium environment is but for
-    ``options``; ``horizon`` of its episodes.
+    """Return a task as a simulator, configured as a Gymnasium environment is.
+
+    ``options`` replace its settings; ``horizon`` is that of its episodes.
     """
     if horizon is None:
         raise ArgumentError(
@@ -277,17 +368,24 @@ def as_simulator(
 class Settings:
     """How a continuous log is evaluated; what is None is the simulator's own.
 
-    Attributes
+    Parameters
     ----------
-    grid : None: no rows on cells; "auto": on the task's own; vertices along each
-        feature; or a number of visited cells
-    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves
-        out transitions without support as well, however many (otherwise more than a
-        hundredth leave out the rows on the grid)
-    strict : an error, not a warning, for actions that are not in the task's set
-    calibration : "ratio" | "difference" | "none"
-    floor : defensive share, in [0, 1]
-    episodes : of Monte Carlo, for each policy in the continuous simulator
+    grid : int, tuple of int or 'auto', optional
+        The cells of the rows on a finite MDP: the number of vertices along each
+        feature, a number of visited cells, or 'auto' for the task's own. None means no
+        such rows.
+    outside : {'error', 'nearest', 'drop'}, default 'error'
+        What is done with states outside the grid. 'drop' leaves out transitions without
+        support as well, however many; otherwise more than a hundredth of them leave out
+        the rows on the grid.
+    strict : bool, default False
+        Whether actions that are not in the task's set are an error, not a warning.
+    calibration : {'ratio', 'difference', 'none'}, optional
+        How the values on cells are calibrated.
+    floor : float, optional
+        The defensive share, in [0, 1].
+    episodes : int, optional
+        The number of Monte Carlo episodes for each policy in the continuous simulator.
 
     Examples
     --------

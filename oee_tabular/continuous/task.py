@@ -1,8 +1,8 @@
-"""What a task with continuous states must offer so that it can become a FiniteMDP.
+"""Continuous tasks: what they must offer so that they can become a FiniteMDP.
 
 A task is a set of numbered actions, a place where episodes begin, and one step:
 
-    s' = f(s, a, xi),   xi ~ N(0, I),     with its reward and whether the episode is over.
+    s' = f(s, a, xi),   xi ~ N(0, I),     with its reward and whether s' is terminal.
 
 All randomness of a step comes from the disturbance xi, whose length the task declares.
 So the same xi can be used twice (pairing a simulator with its target), replaced by
@@ -34,9 +34,12 @@ class Moves:
 
     Attributes
     ----------
-    next_state : (n, d)
-    reward : (n,)
-    terminated : (n,) whether the episode is over in ``next_state``
+    next_state : ndarray of shape (n, d)
+        The next states.
+    reward : ndarray of shape (n,)
+        The rewards of the steps.
+    terminated : ndarray of bool, shape (n,)
+        Whether the episode ends in ``next_state``.
 
     Examples
     --------
@@ -58,28 +61,42 @@ class ContinuousTask(ABC):
     Attributes
     ----------
     name : str
-    state_names : names of the d coordinates of a state
-    actions : (A,) or (A, k); action number a means ``actions[a]``, and the set is part
-        of the environment
-    n_disturbances : length of xi; 0 where a step is deterministic
-    feature_names : names of the coordinates that are discretised (those of
-        ``features``)
-    feature_low, feature_high : (k,) the usual range of each feature, the default extent
-        of a grid
-    periodic : (k,) whether a feature is an angle, whose range closes on itself
-    terminates : whether episodes can end before a time limit
-    default_cells : what ``discretize`` takes for ``cells`` where none are given; None:
-        by the number of features
-    noise_points : Gauss-Hermite points of each disturbance on a grid; 1 leaves them at
-        0
-    is_translation_invariant : whether a command moves the features by about the same
-        wherever it is given; ``discretize`` then carries a log's transitions to the
-        vertices, and a ratio may be tied over displacements
+        The name of the task.
+    state_names : tuple of str
+        The names of the d coordinates of a state.
+    actions : ndarray of shape (A,) or (A, k)
+        The actions; action number a means ``actions[a]``. The set is part of the
+        environment.
+    n_disturbances : int
+        The length of xi; 0 where a step is deterministic.
+    feature_names : tuple of str
+        The names of the k coordinates that are discretised (those of ``features``).
+    feature_low, feature_high : ndarray of shape (k,)
+        The usual range of each feature, which is the default extent of a grid.
+    periodic : tuple of bool
+        For each feature, whether it is an angle, whose range closes on itself.
+    terminates : bool
+        Whether episodes can end before a time limit.
+    steps_at_once : bool
+        Whether stepping many states costs little more than stepping one.
+    default_cells : int, tuple of int or None
+        What ``discretize`` takes for ``cells`` where none are given. None leaves it to
+        the number of features.
+    noise_points : int
+        The number of Gauss-Hermite points of each disturbance on a grid; 1 leaves them
+        at 0.
+    is_translation_invariant : bool
+        Whether a command moves the features by about the same wherever it is given.
+        ``discretize`` then carries a log's transitions to the vertices, and a ratio may
+        be tied over displacements.
 
-    Notes
-    -----
-    A reward is 0 after termination. A time limit is not part of a task: it is the
-    horizon of an evaluation.
+    See Also
+    --------
+    GymnasiumTask : A Gymnasium environment as such a task.
+    discretize : Make a finite MDP of a task.
+
+    Notes ----- A reward is 0 after termination. A time limit is not part of a task: it
+    is the horizon of an evaluation.
 
     Examples
     --------
@@ -115,36 +132,105 @@ class ContinuousTask(ABC):
 
     @abstractmethod
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step from states (n, d) under action numbers (n,) with xi = disturbance
-        (n, n_disturbances).
+        """Take one step from each state with a given disturbance.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, n_disturbances)
+            The disturbance xi, drawn from N(0, I).
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
         """
 
     @abstractmethod
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """N states (n, d) at which episodes begin."""
+        """Draw states at which episodes begin.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            The states.
+        """
 
     def terminated(self, states: Array) -> BoolArray:
-        """(n,) which states are terminal; default: none."""
+        """Return which states are terminal; by default none is.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether each state is terminal.
+        """
         return np.zeros(len(states), dtype=np.bool_)
 
     def end_shows(self, states: Array) -> BoolArray:
-        """(n,) of terminal states, whether their features show it; default: all do.
+        """Return whether the features of terminal states show it; by default all do.
 
-        Where features leave out what ended an episode, the discretised process goes on:
-        such an end is a truncation to it.
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            Terminal states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether the features alone show that the state is terminal.
+
+        Notes ----- Where features leave out what ended an episode, the discretised
+        process goes on: it treats such an end as a truncation.
         """
         return np.ones(len(states), dtype=np.bool_)
 
     def features(self, states: Array) -> Array:
-        """(n, k) the coordinates that are discretised; default: the state itself."""
+        """Return the coordinates that are discretised; by default the state itself.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, k)
+            The features.
+        """
         return states
 
     def smooth(self, states: Array) -> Array:
-        """(n, m) the coordinates that functions of a state are smooth in: cosine and
-        sine of what is periodic.
+        """Return coordinates of the states in which functions of a state are smooth.
 
-        Default: the state, and those of its features that are not coordinates of it. A
-        task says here which angles it has.
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, m)
+            By default the state and those of its features that are not coordinates of
+            it, with the cosine and the sine in place of what is periodic.
+
+        Notes
+        -----
+        A task says here which angles it has.
         """
         features = self.features(states)
         whole = features is states or (
@@ -160,15 +246,39 @@ class ContinuousTask(ABC):
         )
 
     def embed(self, features: Array) -> Array:
-        """(n, d) a state with these features, for a grid to step from; default: the
-        features themselves.
+        """Return states that have these features, from which a grid is stepped.
+
+        Parameters
+        ----------
+        features : ndarray of shape (n, k)
+            The features.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            By default the features themselves.
         """
         return features
 
     def reward_between(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> Array | None:
-        """(n,) r(s, a, s') of given transitions; None where it is not known."""
+        """Compute the rewards r(s, a, s') of given transitions, where they are known.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        next_states : ndarray of shape (n, d)
+            The next states.
+
+        Returns
+        -------
+        ndarray of shape (n,) or None
+            The rewards; None where the task has no ``reward_terms``.
+        """
         before = self.reward_terms(states)
         after = self.reward_terms(next_states)
         return (
@@ -178,75 +288,162 @@ class ContinuousTask(ABC):
         )
 
     def reward_terms(self, states: Array) -> Array | None:
-        """(n, m) functions of a state that the reward of a transition is linear in;
-        None where there are none.
+        """Compute functions of a state in which the reward of a transition is linear.
 
-        With ``reward_of`` they make a reward that telescopes telescope on cells as
-        well. Of tasks whose episodes do not end.
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, m) or None
+            The terms; None, the default, where there are none.
+
+        Notes ----- With ``reward_of`` they make a reward that telescopes telescope on
+        cells as well. They are for tasks whose episodes do not end.
         """
         return None
 
     def displacements(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> list[Array]:
-        """What a correction of the step depends on besides (s, a), each (n, <= d): s' -
-        s of the task's own step.
+        """Return what a correction of the step depends on besides (s, a).
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        next_states : ndarray of shape (n, d)
+            Where the task's own step leads.
+
+        Returns
+        -------
+        list of ndarray, each of shape (n, at most d)
+            By default s' - s of the task's own step.
         """
         return [next_states - states]
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
-        """(n,) r(s, a, s') by the ``reward_terms`` of s and s', linear in both."""
+        """Compute r(s, a, s') from the reward terms of s and of s'.
+
+        It is linear in both.
+
+        Parameters
+        ----------
+        before : ndarray of shape (n, m)
+            The reward terms of the states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        after : ndarray of shape (n, m)
+            The reward terms of the next states.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The rewards.
+        """
         raise NotImplementedError
 
     def others(self) -> Sequence[ContinuousTask]:
-        """The task under other parameters, of which the defensive simulator of
-        ``discretize`` is made; default: none.
+        """Return the task under other parameters, for a defensive simulator.
+
+        Returns
+        -------
+        sequence of ContinuousTask
+            By default none.
         """
         return ()
 
     def on_features(self) -> ContinuousTask:
-        """The task as a process of its features, which ``discretize`` steps; default:
-        the task itself.
+        """Return the task as a process of its features, which ``discretize`` steps.
+
+        Returns
+        -------
+        ContinuousTask
+            By default the task itself.
         """
         return self
 
     def initial_points(self) -> tuple[Array, Array]:
-        """States (m, d) and weights (m,) of the initial distribution; default: 50 000
-        equally likely draws of one seed.
+        """Return weighted states that represent the initial distribution.
+
+        Returns
+        -------
+        states : ndarray of shape (m, d)
+            The states; by default 50 000 draws of one seed.
+        weights : ndarray of shape (m,)
+            Their weights, which sum to 1; by default all are equal.
         """
         states = self.initial_states(50_000, np.random.default_rng(0))
         return states, np.full(len(states), 1.0 / len(states))
 
     def parameters(self) -> dict[str, Any]:
-        """What distinguishes this task from others of its name; written beside
-        everything that is made from it.
+        """Return what distinguishes this task from others of its name.
+
+        Returns
+        -------
+        dict
+            Plain numbers and words by name, which are written beside everything that is
+            made from the task.
         """
         return {}
 
     @property
     def n_state(self) -> int:
-        """The number d of coordinates of a state."""
+        """Return the number d of coordinates of a state."""
         return len(self.state_names)
 
     @property
     def n_actions(self) -> int:
-        """The number A of actions."""
+        """Return the number A of actions."""
         return len(self.actions)
 
     def noiseless_step(self, states: Array, actions: IntArray) -> Moves:
-        """One step f(s, a) from each state, with xi = 0."""
+        """Take one step f(s, a) from each state with xi = 0.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         return self.moves(states, actions, np.zeros((len(states), self.n_disturbances)))
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """One random step from each state."""
+        """Take one random step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         return self.moves(
             states, actions, rng.standard_normal((len(states), self.n_disturbances))
         )
 
 
 class DerivedTask(ContinuousTask):
-    """A task made of another: what a subclass does not say is the other's, of ``own``
-    of a state.
+    """A task made of another, whose methods it has unless a subclass overrides them.
+
+    The other task's methods are called with ``own`` of a state.
     """
 
     def __init__(self, task: ContinuousTask, name: str) -> None:
@@ -256,12 +453,12 @@ class DerivedTask(ContinuousTask):
         self.name = name
 
     def own(self, states: Array) -> Array:
-        """The other task's states (n, d) in these; default: these."""
+        """Return the other task's states (n, d) in these; by default these."""
         return states
 
     @staticmethod
     def _delegate(method: str, *at: int) -> Any:
-        """The other task's method, of whose arguments those at these places are states."""
+        """Return the other task's method; its arguments at these places are states."""
 
         def call(self: DerivedTask, *arguments: Any) -> Any:
             return getattr(self.task, method)(
@@ -284,8 +481,9 @@ class DerivedTask(ContinuousTask):
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
-    """``states`` as (n, d) finite numbers of the task's d; ValueError with the place
-    and the value found.
+    """Return ``states`` as an array (n, d) of finite numbers, d the task's.
+
+    Raises a ValueError with the place and the value found where that is not possible.
     """
     array = _checks.float_array(states, name)
     if array.ndim != 2 or array.shape[1] != task.n_state:
@@ -299,7 +497,7 @@ def check_states(task: ContinuousTask, states: object, name: str = "states") -> 
 
 
 def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
-    """ValueError for a log of other states than the task's."""
+    """Raise a ValueError for a log whose states have another length than the task's."""
     _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state != task.n_state:
         way_out = (
@@ -319,11 +517,11 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
 
 
 class Chance:
-    """Stands in for an environment's ``np_random``: its numbers are the quantiles at xi
-    in turn; at xi = 0 the medians.
+    """Stand in for an environment's ``np_random`` with the quantiles at xi in turn.
 
-    What it has is what steps draw: normal, uniform and whole numbers. Another draw is
-    an AttributeError, more than xi has an IndexError.
+    At xi = 0 its numbers are the medians. It has what steps draw: normal, uniform and
+    whole numbers. Another draw is an AttributeError; drawing more than xi has is an
+    IndexError.
 
     >>> chance = Chance(np.array([0.0, 1.0, 0.0]))
     >>> float(chance.uniform(-1.0, 1.0)), float(chance.normal(2.0, 0.5)), chance.integers(5), chance.used
@@ -335,8 +533,9 @@ class Chance:
         self.used = 0
 
     def _draw(self, size: Any, *bounds: Any) -> Any:
-        """N(0, 1) of this size, or of the bounds' own shape; a number where that is
-        none.
+        """Draw from N(0, 1) with this size, or else with the bounds' shape.
+
+        Where that shape is (), the draw is a number.
         """
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
         end = self.used + int(np.prod(shape))
@@ -351,19 +550,19 @@ class Chance:
         return found.copy() if found.ndim else float(found)
 
     def standard_normal(self, size: Any = None) -> Any:
-        """N(0, 1)."""
+        """Draw from N(0, 1)."""
         return self._draw(size)
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: object = None) -> Any:
-        """N(loc, scale^2)."""
+        """Draw from N(loc, scale^2)."""
         return np.float64(loc) + np.float64(scale) * self._draw(size, loc, scale)
 
     def random(self, size: object = None) -> Any:
-        """Uniform on [0, 1)."""
+        """Draw uniformly from [0, 1)."""
         return self.uniform(0.0, 1.0, size)
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
-        """Uniform on [low, high)."""
+        """Draw uniformly from [low, high)."""
         share = np.minimum(ndtr(self._draw(size, low, high)), np.nextafter(1.0, 0.0))
         return np.float64(low) + (np.float64(high) - np.float64(low)) * np.float64(
             share
@@ -377,8 +576,9 @@ class Chance:
         *,
         endpoint: bool = False,
     ) -> Any:
-        """Whole numbers from low to below high; from 0 to below low where there is no
-        high.
+        """Draw whole numbers from low to below high.
+
+        Without a high they are from 0 to below low.
         """
         start, end = (0, low) if high is None else (low, high)
         found = start + np.floor(
@@ -391,12 +591,13 @@ NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be
 
 
 class BadPolicy(ValueError):
-    """A policy function's own error, told as what it must do."""
+    """A policy function's own error, told as what the function must do."""
 
 
 def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
-    """What a policy function says for all ``states`` at once; a ValueError that says so
-    where it raises.
+    """Call a policy function with all ``states`` at once.
+
+    Raises a ValueError that says so where the function raises.
     """
     try:
         return policy(states)
@@ -413,7 +614,7 @@ def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
 
 
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
-    """What a policy function says for ``states``: (n, A), rows that sum to 1."""
+    """Return a policy function's probabilities (n, A), whose rows must sum to 1."""
     _checks.function(policy, "policy")
     table = _checks.float_array(ask_policy(policy, states), "policy(states)")
     n = len(states)
@@ -429,8 +630,9 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
 
 
 def find_periods(task: ContinuousTask, states: Array) -> Array:
-    """(d,) the period of coordinates that are angles, 0 of others: where the features
-    of these states are the states.
+    """Return the period (d,) of each coordinate that is an angle, and 0 for the others.
+
+    Angles are known only where the features of these states are the states.
     """
     if task.n_state != len(task.periodic) or not np.array_equal(
         task.features(states), states
@@ -442,7 +644,7 @@ def find_periods(task: ContinuousTask, states: Array) -> Array:
 
 
 def shortest(differences: Array, periods: Array) -> Array:
-    """Differences (n, k) of the first k coordinates, of angles by the shorter way."""
+    """Return differences (n, k) of coordinates, those of angles the shorter way."""
     if not periods.any():
         return differences
     each = periods[: differences.shape[1]]
