@@ -1,5 +1,4 @@
-"""Continuous simulators by name, and the command for them: their options, policies and
-logs from specifications and files.
+"""Continuous simulators by name, and their options, policies and logs from commands.
 
 A task of ours is one line in ``CONTINUOUS``: its name, ``cartpole:gravity=10``, and a
 function that makes a ``ContinuousSimulator`` of the arguments, with the configuration
@@ -43,9 +42,10 @@ TASK_OPTIONS = (
 
 
 def cartpole(**parameters: Any) -> ContinuousSimulator:
-    """CartPole under a gravity, by the configuration that ``oee reproduce fig2`` uses
-    for every target.
+    """Make the simulator of CartPole under a gravity.
 
+    Its configuration is that which ``oee reproduce fig2`` uses
+    for every target.
     On cells: (theta, theta') on 32 x 32 vertices, looked at in the log's own places,
     floor 0.001, zeta from soft counts with prior "simulator" and strength 0.01,
     calibrated by the ratio. The whole state (``form=full``) has 1000 visited cells.
@@ -67,9 +67,10 @@ def cartpole(**parameters: Any) -> ContinuousSimulator:
 
 
 def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
-    """Reacher with links of a length; ``reward_length`` is the length by which the
-    target's reward finds the fingertip.
+    """Make the simulator of Reacher with links of a length.
 
+    ``reward_length`` is the length by which the
+    target's reward finds the fingertip.
     On cells: 3000 at the log's own states; the simulator is the average over lengths
     times .5, .7, 1, 1.4 and 2 (floor 0.8, *not* the plain one); zeta with prior
     "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did
@@ -95,11 +96,11 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
 
 
 def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
-    """A simulated stand-in for the Gen3 that moves its hand to a goal: it is not the
-    robot. MuJoCo is needed.
+    """Make the simulated stand-in for the Gen3 that moves its hand to a goal.
 
-    Parameters of ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates;
-    ``form=hand``: logs of the hand's position (x, y, z) alone, as a real arm's would be
+    It is not the robot. MuJoCo is needed. Parameters are those of
+    ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs
+    of the hand's position (x, y, z) alone, as a real arm's would be
     (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
     simulated arm. On cells: defensive (a tenth of the transitions half or one and a
     half times as far), zeta tied over displacements, calibrated by the difference.
@@ -130,7 +131,7 @@ CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
 
 
 def is_continuous(spec: str | None) -> bool:
-    """Whether ``spec`` names a continuous task."""
+    """Return whether ``spec`` names a continuous task."""
     name = (spec or "").partition(":")[0]
     if spec is None or name == "gridworld" or Path(spec).suffix.lower() == ".npz":
         return False
@@ -144,19 +145,29 @@ def is_continuous(spec: str | None) -> bool:
 def continuous_simulator(
     spec: str, *, state: str | None = None, actions: object = None
 ) -> ContinuousSimulator:
-    """The continuous simulator that ``spec`` names, ``NAME`` or ``NAME:key=value,...``.
+    """Make the continuous simulator that ``spec`` names.
 
     Parameters
     ----------
-    spec : a name in ``CONTINUOUS`` or the id of a Gymnasium environment, and parameters
-        of its task
-    state, actions : of a Gymnasium environment; see ``gymnasium_simulator``
+    spec : str
+        ``NAME`` or ``NAME:key=value,...``: a name in ``CONTINUOUS`` or the id of a
+        Gymnasium environment, and parameters of its task.
+    state : str, optional
+        How a Gymnasium environment's state is read and set; see
+        ``gymnasium_simulator``.
+    actions : int, list or array_like, optional
+        The actions of a Gymnasium environment; see ``gymnasium_simulator``.
+
+    Returns
+    -------
+    ContinuousSimulator
+        The simulator.
 
     Raises
     ------
     ValueError
-        An unknown name, arguments that the task does not take, or values that it
-        refuses.
+        If the name is unknown, or the task does not take these arguments or refuses
+        their values.
 
     Examples
     --------
@@ -195,8 +206,9 @@ def continuous_simulator(
 def task_options(
     given: list[str] | None, known: Sequence[str] = TASK_OPTIONS
 ) -> dict[str, Any]:
-    """The values of ``--task-option NAME=VALUE`` by name; what is not given is the
-    task's own.
+    """Read the values of ``--task-option NAME=VALUE`` by name.
+
+    What is not given is the task's own.
     """
     options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
     for name in {"strict", "floor", "simulations", "actions"} & set(options):
@@ -215,8 +227,9 @@ def task_options(
 
 
 def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
-    """Where ``--grid`` puts the states: 60x60 vertices, 3000 visited cells, or "auto",
-    the task's own.
+    """Read where ``--grid`` puts the states.
+
+    It is 60x60 vertices, 3000 visited cells, or "auto", the task's own.
     """
     try:
         if text is None or text == "auto":
@@ -242,10 +255,10 @@ def evaluate_files(
     grid: tuple[int, ...] | int | str | None = None,
     **common: Any,
 ) -> Report:
-    """The report on a continuous simulator, a log of continuous states and policies.
+    """Evaluate policies by a continuous simulator and a log of continuous states.
 
-    ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what
-    ``evaluate_continuous`` takes.
+    ``options`` are made by ``task_options``, ``grid`` by ``read_grid``; ``common`` is
+    what ``evaluate_continuous`` takes.
     """
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -320,8 +333,9 @@ def evaluate_files(
 def record_log(
     spec: str, policy: str, options: dict[str, Any], **limits: Any
 ) -> ContinuousTransitions:
-    """A log of the continuous task that ``spec`` names; actions that are commands are
-    written as such.
+    """Record a log of the continuous task that ``spec`` names.
+
+    Actions that are commands are written as such.
     """
     from oee_tabular.continuous.log import ContinuousTransitions
 
@@ -335,7 +349,10 @@ def record_log(
 
 
 def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
-    """A policy of states; an array's cells are those of the default grid."""
+    """Return the policy of states that ``spec`` names.
+
+    An array's cells are those of the default grid.
+    """
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
     from oee_tabular.continuous.discretization import DEFAULT_VERTICES

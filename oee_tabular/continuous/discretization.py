@@ -149,7 +149,7 @@ class GridInterpolation:
     def places(
         self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object
     ) -> Places:
-        """Return the vertices under each action and, at a log, its own states and actions.
+        """Return the vertices and, at a log, its own states, with their actions.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class VisitedCells:
         )
 
     def _cells(self, features: Array, rng: np.random.Generator) -> VoronoiCells:
-        """Return cells whose centres Lloyd's iteration puts among these points (m, k)."""
+        """Return cells whose centres Lloyd's iteration puts among points (m, k)."""
         spread = features.std(axis=0)
         scale = np.where(spread > 0, spread, 1.0)
         points = features / scale

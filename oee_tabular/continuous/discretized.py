@@ -105,14 +105,14 @@ class Discretization:
         return self.cells.n_cells if self.task.terminates else None
 
     def policy(self, policy: StatePolicy | Array, name: str = "policy") -> Array:
-        """Return a policy's probabilities in each state: its mean over the points of the cell.
+        """Return a policy's probabilities in each numbered state.
 
         Parameters
         ----------
         policy : function or ndarray of shape (S, A)
-            A function of states (n, d) giving probabilities (n, A); or probabilities on
-            the cells, which are checked as ``Problem`` checks them and may leave out
-            the terminal state.
+            A function of states (n, d) giving probabilities (n, A), of which the mean
+            over the points of each cell is taken; or probabilities on the cells, which
+            are checked as ``Problem`` checks them and may leave out the terminal state.
         name : str, default 'policy'
             The name of the argument in errors.
 
@@ -210,7 +210,7 @@ class Discretization:
         return (value - mc.value) / scale, mc.standard_error / scale
 
     def mixture(self, weights: Sequence[float] | Array) -> Discretization:
-        """Return the same states with another simulator, sum_k w_k P_k over ``simulators``.
+        """Return the same states with the simulator sum_k w_k P_k of ``simulators``.
 
         Parameters
         ----------
@@ -402,7 +402,7 @@ class Discretization:
     def counts(
         self, log: ContinuousTransitions, *, outside: str = "error"
     ) -> sparse.csr_array:
-        """Compute soft counts n(s, a, s'), sum over rows of w_s(state) w_s'(next_state).
+        """Compute soft counts n(s, a, s') of a log.
 
         Parameters
         ----------
@@ -415,7 +415,8 @@ class Discretization:
         Returns
         -------
         csr array of shape (S * A, S)
-            The counts, which sum to the number of rows.
+            The counts, sum over rows of w_s(state) w_s'(next_state); they sum to the
+            number of rows.
 
         Raises
         ------
@@ -445,7 +446,7 @@ class Discretization:
         )
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
-        """Return the counts where ``mdp`` has probability, and the share of those elsewhere.
+        """Return the counts where ``mdp`` has probability, and the others' share.
 
         Parameters
         ----------
@@ -466,7 +467,7 @@ class Discretization:
         return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
 
     def displacement_ties(self) -> IntArray:
-        """Return a tie for each entry of ``mdp.transitions``: its action and displacement.
+        """Return a tie for each entry of ``mdp.transitions``.
 
         Returns
         -------
@@ -515,7 +516,7 @@ class Discretization:
     def _select_rows(
         self, log: ContinuousTransitions, outside: str
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
-        """Return the rows that can be encoded, their action numbers, and which ones end."""
+        """Return the rows that can be encoded, their actions, and which ones end."""
         require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
         task = self.task
@@ -591,7 +592,10 @@ def uniform_policy_of(task: ContinuousTask) -> StatePolicy:
 
 
 def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
-    """Return a state number for each row: the heaviest, or the one that a draw (n,) picks."""
+    """Return a state number for each row of weights.
+
+    It is the heaviest, or the one that a uniform number (n,) picks.
+    """
     low = weights.indptr[:-1]
     width = np.diff(weights.indptr)
     table = np.zeros((len(width), int(width.max())))

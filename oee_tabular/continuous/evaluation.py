@@ -1,4 +1,4 @@
-"""``evaluate`` for a continuous simulator and a log of continuous states.
+"""Evaluation of policies by a continuous simulator and a log of continuous states.
 
 The rows (``rows``) are functions of a policy, in the order of what they may be trusted
 for (``evaluate_continuous``); where a grid is asked for, a finite problem joins them
@@ -94,42 +94,78 @@ def evaluate_continuous(
 
     Parameters
     ----------
-    simulator : ContinuousSimulator, or a ContinuousTask, which needs ``horizon``
-    log : ContinuousTransitions of the target
-    policies : name -> function of states (n, d) giving probabilities (n, A), or an (S,
-        A) array of probabilities on the cells
-    settings : grid, calibration, and what to do with states outside and actions not in
-        the set
-    behavior : the policy that recorded the log, where the log lacks its probabilities
-    target : the true target, where it is known: adds its own Monte Carlo value
-    history : how many last actions are in the state; "auto" chooses 0 to 5 by held-out
-        error, where the state is not Markov
-    fit : names of parameters of the simulator that are fitted to the log first (or
-        their ``ParameterFit``)
-    estimators : names, as in ``evaluate``; None: oee, a linear model of the log,
-        importance sampling where the log has probabilities, and on cells the simulator
-        and the model-based baseline
-    horizon : number of rewards; None: the simulator's
-    discount : in [0, 1]
-    options : ``seed``, ``facts``, ``confidence``, ``normalized``, ``guaranteed``,
-        ``quick`` of ``evaluate``
+    simulator : ContinuousSimulator or ContinuousTask
+        The simulator. A ContinuousTask needs ``horizon``.
+    log : ContinuousTransitions
+        A log of the target.
+    policies : mapping from str to function or array
+        Policies by name: functions of states (n, d) giving probabilities (n, A), or (S,
+        A) arrays of probabilities on the cells.
+    settings : Settings, optional
+        Grid, calibration, and what to do with states outside and actions not in the
+        set.
+    behavior : function, optional
+        The policy that recorded the log, where the log lacks its probabilities.
+    target : ContinuousTask, optional
+        The true target, where it is known: adds its own Monte Carlo value.
+    history : int or 'auto', default 'auto'
+        How many last actions are in the state; 'auto' chooses 0 to 5 by held-out error,
+        where the state is not Markov.
+    fit : sequence of str or ParameterFit, optional
+        The names of parameters of the simulator that are fitted to the log first, or
+        their fit.
+    estimators : sequence of str, optional
+        Names, as in ``evaluate``. None means oee, a linear model of the log, importance
+        sampling where the log has probabilities, and on cells the simulator and the
+        model-based baseline.
+    horizon : int, optional
+        The number of rewards; None means the simulator's.
+    discount : float, default 0.99
+        Gamma, in [0, 1].
+    confidence : float, default 0.95
+        The level of the intervals, in (0, 1).
+    seed : int or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
+    normalized : bool, default False
+        Whether the report multiplies values by (1 - discount).
+    facts : mapping, optional
+        More to keep in the report's ``facts``.
+    guaranteed : bool, default False
+        Whether the intervals that hold at any sample size are computed too; they need
+        cells.
+    quick : bool, default False
+        Whether likelihood intervals, which take most of the time on cells, are left
+        out.
 
     Returns
     -------
     Report
-        In front the value of the corrected simulator (``choose_correction``) by Monte
-        Carlo, or, where no correction can be trusted, the simulator's. Row "oee
-        (residual)" where oee is asked for; with ``settings.grid`` also "oee
-        (calibrated)" and, last, "oee on the grid", which has the grid's error; "linear
-        model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
-        Carlo) always. ``facts`` has the support diagnostics and the closure error.
-        Where the cells cannot take the log, their rows are left out with a sentence.
+        Estimates with their intervals, in the order policy, estimator.
 
     Raises
     ------
     ValueError
-        A log that does not fit the task; states outside the grid, where
+        If the log does not fit the task, or states lie outside the grid and
         ``settings.outside`` is "error".
+
+    Warns
+    -----
+    DiscretizationWarning
+        If the rows on the grid are left out.
+
+    See Also
+    --------
+    evaluate : The same for finite problems.
+    corrected_value : The value of one policy in a corrected simulator.
+
+    Notes ----- In front stands the value of the corrected simulator
+    (``choose_correction``) by Monte Carlo, or, where no correction can be trusted, the
+    simulator's. The row "oee (residual)" is there where oee is asked for; with
+    ``settings.grid`` also "oee (calibrated)" and, last, "oee on the grid", which has
+    the grid's error; "linear model of the log" where ``estimators`` is None; "simulator
+    (continuous)" (Monte Carlo) always. ``facts`` has the support diagnostics and the
+    closure error. Where the cells cannot take the log, their rows are left out with a
+    sentence.
 
     Examples
     --------
@@ -237,14 +273,17 @@ def evaluate_continuous(
     def learned_row(
         learned: ContinuousTask, status: str, policy: StatePolicy
     ) -> Estimate:
-        """No value of another sign than the rewards of the log, and of the simulator's
-        own steps from there, have.
+        """Estimate a value in a learned task, and refuse one of an impossible sign.
+
+        The sign must be possible with the rewards of the log, and of the simulator's
+        own steps from there.
         """
         return refuse_impossible(
             rollouts.estimate(learned, policy, status), *bounds, steps, scale
         )
 
     def simulated_row(policy: StatePolicy) -> Estimate:
+        """Estimate a value in the simulator itself."""
         return _describe_simulated(
             simulate(policy), is_headline=not correction.is_trusted
         )
@@ -313,14 +352,17 @@ def evaluate_continuous(
     }  # policies by their tables on the cells
 
     def simulate_table(table: Array) -> MonteCarlo:
+        """Estimate the value of a policy, given by its table on the cells, in the simulator."""
         return simulate(known[np.asarray(table).tobytes()])
 
     def evaluate_row(
         row: Row, problem: Problem, table: Array, *, seed: Seed = None
     ) -> Estimate:
+        """Evaluate a row for a policy that is given by its table on the cells."""
         return row(known[np.asarray(table).tobytes()])
 
     def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
+        """Return rows as estimators of policies on the cells."""
         return {name: partial(evaluate_row, row) for name, row in rows.items()}
 
     every = on_tables(rows)
@@ -351,11 +393,11 @@ def sampling_rows(
     horizon: int,
     discount: float,
 ) -> dict[str, Row]:
-    """Importance sampling by name, on the episodes of a log whose actions are numbers.
+    """Return importance sampling rows by name, on the episodes of a log.
 
-    Row i of the log is state i; whatever is done there, the row that follows in its
-    episode comes, or the end, state n. What follows a truncated episode is not known;
-    it is not the end.
+    The log's actions are numbers. Row i of the log is state i; whatever is done there,
+    the row that follows in its episode comes, or the end, state n. What follows a
+    truncated episode is not known; it is not the end.
     """
     if not wanted:
         return {}
@@ -381,6 +423,7 @@ def sampling_rows(
     problem = Problem(mdp, Transitions(**columns), horizon=horizon)
 
     def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
+        """Estimate a policy's value by its probabilities in the log's own states."""
         table = check_probabilities(policy, log.state, n_actions)
         return estimator(
             problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)])
@@ -390,10 +433,10 @@ def sampling_rows(
 
 
 def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
-    """A value in the simulator (or the target) itself: no estimate from the log.
+    """Return a value in the simulator (or the target) itself as an ``Estimate``.
 
-    ``is_headline`` where no correction can be trusted; the rollouts' noise is no
-    interval to speak of then.
+    It is no estimate from the log. ``is_headline`` is for where no correction can be
+    trusted; the rollouts' noise is no interval to speak of then.
     """
     error = None if is_headline else mc.standard_error
     facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
@@ -407,8 +450,9 @@ def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimat
 
 
 def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
-    """How far the task's commands are from those of a policy; "" where they are the
-    same.
+    """Describe how far the task's commands are from those of a policy.
+
+    Returns "" where they are the same.
     """
     distance, beyond = policy.rounding(states)
     if distance == beyond == 0.0:
@@ -423,8 +467,9 @@ def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
 
 
 def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
-    """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or
-    where either is unknown.
+    """Describe where the log's rewards are not the task's r(s, a, s').
+
+    Returns "" where they are, or where either is unknown.
     """
     known = task.reward_between(log.state, log.action, log.next_state)
     if log.reward is None or known is None:
@@ -442,6 +487,7 @@ def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
 
 
 def _names(names: object, argument: str) -> list[str]:
+    """Return a collection of names as a list that is not empty."""
     checked = [
         _checks.instance(name, str, argument, "names")
         for name in _checks.collection(names, argument, "names")
@@ -454,8 +500,9 @@ def _names(names: object, argument: str) -> list[str]:
 def _choose_estimators(
     names: list[str] | None, log: ContinuousTransitions, *, has_cells: bool
 ) -> tuple[dict[str, Estimator], list[str]]:
-    """Estimators by name, those of finite problems only where there are cells, and a
-    sentence on the others.
+    """Return estimators by name, and sentences on those that are left out.
+
+    Those of finite problems need cells.
     """
     if names is None:
         is_weighted = all(
@@ -496,7 +543,7 @@ def _report_rows(
     guaranteed: bool = False,
     quick: bool = False,
 ) -> Report:
-    """The report of rows without a finite problem, each beside its own interval."""
+    """Return the report of rows without a finite problem, each beside its own interval."""
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if _checks.boolean(guaranteed, "guaranteed"):
         raise ArgumentError(

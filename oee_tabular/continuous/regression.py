@@ -1,8 +1,8 @@
-"""Regressions on a log's steps: nested classes of functions of (s, a) for a correction,
-and a linear model of the log alone.
+"""Regressions on the steps of a log, for a correction and for a linear model.
 
-Ridge regression chooses for each target the class by held-out error over episodes
-(``Grams``). All that fits, held-out errors and refits on resampled episodes need is
+Ridge regression chooses for each target among nested classes of functions of (s, a) by
+held-out error over episodes (``Grams``). All that fits, held-out errors and refits on
+resampled episodes need is
 
     G[group, a] = sum over the group's rows of action a of (phi, y) (phi, y)^T;
 
@@ -64,10 +64,10 @@ def _predict(
     w,
     ends,
 ):
-    """(n, k) values g_k = sum_j w[a, j, k] phi_j of a regression, kept within ``ends``
-    (2, k).
+    """Compute values g_k = sum_j w[a, j, k] phi_j, (n, k), kept within ``ends`` (2, k).
 
-        phi_j = z[first_j] z[second_j],  j < q,    phi_j = cos(sum_i z_i frequency_ij + phase_j)
+        phi_j = z[first_j] z[second_j],  j < q
+        phi_j = cos(sum_i z_i frequency_ij + phase_j),  j >= q
 
     over z = (1, inputs kept within what was logged and standardised). A row is summed
     in the order of j, whatever rows stand beside it, so its bits depend on nothing
@@ -140,16 +140,19 @@ def _predict(
 
 
 class Functions:
-    """phi(s, a): products of (1, x, d) and cos(w (x, d) + b), of standardised inputs
-    kept within what was logged.
+    """Functions phi(s, a): products of (1, x, d), and cos(w (x, d) + b).
 
-    x are the task's ``smooth`` coordinates and the command, d = f(s, a) - s is the
-    displacement.
+    Their inputs are standardised and kept within what was logged. x are the task's
+    ``smooth`` coordinates and the command, d = f(s, a) - s is the displacement.
 
     Attributes
     ----------
-    nested : name -> the columns of a class of functions; the simplest first
-    width, n_actions : how many columns and actions there are
+    nested : dict from str to ndarray of int
+        The columns of each class of functions by its name, the simplest first.
+    width : int
+        The number of columns.
+    n_actions : int
+        The number of actions.
     """
 
     def __init__(
@@ -216,7 +219,7 @@ class Functions:
                 self.nested[name] = columns
 
     def __call__(self, states: Array, actions: IntArray, displacement: Array) -> Array:
-        """(n, width) every column."""
+        """Compute every column, (n, width)."""
         raw = np.column_stack(
             [self._task.smooth(states), self._commands[actions], displacement]
         )[:, self._kept]
@@ -227,7 +230,7 @@ class Functions:
         return np.column_stack([one[:, self._first] * one[:, self._second], waves])
 
     def stack(self, fits: Sequence[Fit]) -> Array:
-        """(A, columns, len(fits)) the coefficients of all fits."""
+        """Return the coefficients of all fits, (A, columns, len(fits))."""
         width = max(int(fit.columns.max(initial=-1)) for fit in fits) + 1
         w = np.zeros((self.n_actions, width, len(fits)))
         for k, fit in enumerate(fits):
@@ -242,8 +245,9 @@ class Functions:
         w: Array,
         ends: Array,
     ) -> Array:
-        """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends``
-        (2, k): compiled, O(n p k).
+        """Compute sums over columns weighted by w (A, columns, k), (n, k).
+
+        They are kept within ``ends`` (2, k). The sums are compiled and cost O(n p k).
         """
         q = min(w.shape[1], len(self._first))
         inputs = (self._task.smooth(states), displacement)
@@ -261,17 +265,25 @@ class Functions:
 
 @dataclass(frozen=True)
 class Fit:
-    """g for one target.
+    """The correction g of one target.
 
     Attributes
     ----------
-    kind : name of the class of functions
-    per_action : whether each action has its own coefficients
-    ridge : of a column's mean square
-    columns, coefficients : (p,), (A, p)
-    error : sum of its squared errors on episodes that it was not fitted to
-    t_statistic : how many standard errors (over groups of episodes) that is below the
-        error of g = 0
+    kind : str
+        The name of the class of functions.
+    per_action : bool
+        Whether each action has its own coefficients.
+    ridge : float
+        The ridge, as a share of a column's mean square.
+    columns : ndarray of int, shape (p,)
+        The columns of the class.
+    coefficients : ndarray of shape (A, p)
+        Their coefficients.
+    error : float
+        The sum of its squared errors on episodes to which it was not fitted.
+    t_statistic : float
+        How many standard errors (over groups of episodes) that is below the error of g
+        = 0.
     """
 
     kind: str
@@ -284,8 +296,9 @@ class Fit:
 
 
 class Grams:
-    """G (groups, A, q, q) of the columns of all classes and the targets (n, k), of the
-    rows that are used.
+    """Gram matrices (groups, A, q, q) of the columns of all classes and the targets (n, k).
+
+    They sum over the rows that are used.
     """
 
     def __init__(
@@ -322,12 +335,14 @@ class Grams:
         ridge: float,
         per_action: bool,
     ) -> Array:
-        """(A, p, targets) the coefficients from a weighted sum over groups; an action
-        without rows has the pooled ones.
+        """Compute coefficients (A, p, targets) from a weighted sum over groups.
+
+        An action without rows has the pooled ones.
         """
         size = np.sqrt(np.maximum(self.mean_square[columns], 1e-300))
 
         def solve_one(gram: Array) -> Array:
+            """Solve the ridge regression of one Gram matrix."""
             right = gram[columns, self.p :][:, target]
             if len(columns) == 0:
                 return right
@@ -347,10 +362,10 @@ class Grams:
         )
 
     def choose(self) -> list[Fit]:
-        """For each target the simplest class whose held-out error is within a standard
-        error (over groups) of the best.
+        """Choose for each target the simplest class with a small held-out error.
 
-        Simplest: fewest coefficients, then the largest ridge.
+        The error must be within a standard error (over groups) of the best. Simplest
+        means fewest coefficients, then the largest ridge.
         """
         n_groups, n_actions = self.g.shape[:2]
         fold = np.arange(n_groups) % FOLDS
@@ -412,8 +427,10 @@ class Grams:
         fold: IntArray,
         grams: list[Array],
     ) -> Array:
-        """(options, groups, targets) sums of squared errors on groups by the fit to the
-        other folds, ``grams`` theirs.
+        """Compute sums of squared errors (options, groups, targets) on held-out groups.
+
+        Groups are predicted by the fit to the other folds, whose Gram matrices are
+        ``grams``.
         """
         errors = np.empty((len(options), len(fold), self.k))
         for f in range(FOLDS):
@@ -431,9 +448,7 @@ class Grams:
         return errors
 
     def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
-        """The same classes fitted to all groups, or to groups with these weights: a
-        bootstrap's.
-        """
+        """Fit the same classes to all groups, or to groups with a bootstrap's weights."""
         gram = (
             self.g.sum(axis=0)
             if weights is None
@@ -452,10 +467,10 @@ class Grams:
 def episode_groups(
     episode: IntArray | None, n: int, width: int, n_actions: int
 ) -> IntArray:
-    """(n,) groups of whole episodes (of rows in turn, without episodes), as many as the
-    Gram matrices' memory allows.
+    """Return the group (n,) of each row, whole episodes or, without these, rows in turn.
 
-    At least 8 and at most 40, if there are so many episodes.
+    There are as many groups as the Gram matrices' memory allows, at least 8 and at most
+    40, if there are so many episodes.
     """
     if episode is None or len(np.unique(episode)) < 8:
         number = np.arange(n) * 40 // n
@@ -466,42 +481,52 @@ def episode_groups(
 
 
 def draw_groups(n_groups: int, seed: Any) -> Array:
-    """(n_groups,) how often a bootstrap draws each group, with replacement."""
+    """Draw groups with replacement and return how often each is drawn, (n_groups,)."""
     drawn = _checks.generator(seed).integers(n_groups, size=n_groups)
     return np.bincount(drawn, minlength=n_groups).astype(np.float64)
 
 
 class LinearModel(DerivedTask):
-    """The task with steps linear in its smooth coordinates, fitted to a log: what a
-    corrected simulator must beat.
+    """A task with steps linear in its smooth coordinates, fitted to a log alone.
 
-        s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's transitions of action a,
+    It is what a corrected simulator must beat:
 
-    x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's
-    residual drawn from the log's transitions of the same action. The simulator says
-    only where episodes begin, where they end and what the rewards are.
+        s' = s + B_a (1, x(s)) + e,
+
+    B_a by least squares on the log's transitions of action a, x the task's ``smooth``
+    coordinates (cosine and sine of angles), e a whole row's residual drawn from the
+    log's transitions of the same action. The simulator says only where episodes begin,
+    where they end and what the rewards are.
 
     Parameters
     ----------
-    task : ContinuousTask, for its rewards, ends and beginnings
-    log : ContinuousTransitions of the target
+    task : ContinuousTask
+        The simulator, for its rewards, ends and beginnings.
+    log : ContinuousTransitions
+        A log of the target.
 
     Attributes
     ----------
-    coefficients : (A, p, d) B_a; an action that was never recorded has those of all
-        transitions
-    residuals : (n, d) what they leave over
+    coefficients : ndarray of shape (A, p, d)
+        B_a of each action; an action that was never recorded has those of all
+        transitions.
+    residuals : ndarray of shape (n, d)
+        What they leave over of s' - s in each row.
 
     Raises
     ------
     ValueError
-        A log of other states than the task's, or of actions that it has not.
+        If the log has other states than the task, or actions that it has not.
+
+    See Also
+    --------
+    ResidualSimulator : A simulator corrected by a log.
 
     Notes
     -----
     Next states stay within those that were logged, for a linear model's own may run
     away. Rewards are ``reward_between``'s, or else those of the simulator's own step
-    from (s, a). O(n p^2).
+    from (s, a). Costs O(n p^2).
 
     Examples
     --------
@@ -534,10 +559,11 @@ class LinearModel(DerivedTask):
         self._fit(np.ones(len(log)))
 
     def _inputs(self, states: Array) -> Array:
+        """Return the inputs of the regression, 1 and the smooth coordinates."""
         return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
 
     def _fit(self, weights: Array) -> None:
-        """Least squares with these weights of the rows, by which residuals are drawn."""
+        """Fit least squares with these weights of the rows, by which residuals are drawn."""
         self.coefficients = np.empty(
             (self.n_actions, self._x.shape[1], self._y.shape[1])
         )
@@ -556,8 +582,17 @@ class LinearModel(DerivedTask):
         )
 
     def resampled(self, seed: Any = None) -> LinearModel:
-        """The same of a bootstrap's log: groups of whole episodes drawn with
-        replacement.
+        """Return the model of a bootstrap's log.
+
+        Parameters
+        ----------
+        seed : int, Generator or SeedSequence, optional
+            The source of random numbers. The same seed gives the same bits.
+
+        Returns
+        -------
+        LinearModel
+            The model fitted to groups of whole episodes drawn with replacement.
         """
         again = copy.copy(self)
         again._fit(draw_groups(int(self._group.max()) + 1, seed)[self._group])
@@ -565,7 +600,22 @@ class LinearModel(DerivedTask):
 
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step; the disturbance chooses the residual."""
+        """Take one step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, 1)
+            The disturbance, which chooses the residual.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         actions = np.asarray(actions, dtype=np.int64)
         x = self._inputs(states)
         uniform = ndtr(disturbance[:, 0])
@@ -585,5 +635,11 @@ class LinearModel(DerivedTask):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """The task's, and how many transitions the model is fitted to."""
+        """Return the task's parameters, and the number of transitions of the log.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return self.task.parameters() | {"linear_model_of_moves": len(self.residuals)}

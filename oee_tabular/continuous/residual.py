@@ -131,7 +131,10 @@ class Coordinate:
 
     @property
     def unexplained(self) -> float:
-        """Return the held-out mean square error of f + g over the displacement's variance."""
+        """Return the held-out mean square error of f + g.
+
+        It is in units of the displacement's variance.
+        """
         if self.displacement == 0.0:
             return 0.0
         return (1.0 - self.explained) * (self.residual_scatter / self.displacement) ** 2
@@ -272,7 +275,7 @@ class ResidualSimulator(DerivedTask):
         is_free: BoolArray,
         rng: np.random.Generator,
     ) -> BoolArray:
-        """Fit g to smooth rows, and then what is lost at stops; return which rows are smooth.
+        """Fit g to smooth rows, then what is lost at stops; return which are smooth.
 
         Rows are smooth where g leaves no outlying residual.
         """
@@ -334,9 +337,9 @@ class ResidualSimulator(DerivedTask):
         )
 
     def _is_outlying(self, left: Array) -> BoolArray:
-        """Return which rows (n,) have a residual far beyond the others', where they are few.
+        """Return which rows (n,) have a residual far beyond the others'.
 
-        Contacts and stops are such rows.
+        Contacts and stops are such rows. There are none where they would be many.
         """
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * root_mean_square(self.residuals)
@@ -565,7 +568,7 @@ class ResidualSimulator(DerivedTask):
         return self.moves(states, actions, xi)
 
     def _clip(self, following: Array) -> Array:
-        """Return next states within the stops, and within one turn where the task's are."""
+        """Return next states within the stops and, if the task's are, within a turn."""
         inside = np.clip(following, *self._stops.bounds)
         turned = self._start + (inside - self._start) % np.where(
             self._wraps, self._periods, 1.0
@@ -638,7 +641,7 @@ def other_units(
         return ""
 
     def miss(factors: Array) -> Array:
-        """Return the share (d,) of each displacement by which the simulator misses it."""
+        """Return the share (d,) of each displacement that the simulator misses."""
         before = factors * log.state[rows]
         after = factors * log.next_state[rows]
         with np.errstate(all="ignore"):  # states that no simulator was made for

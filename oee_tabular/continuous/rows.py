@@ -1,5 +1,6 @@
-"""The rows of a continuous task's report: functions of a policy that give an
-``Estimate`` of J = E[sum_{t<T} gamma^t r_t].
+"""Rows of a continuous task's report: functions of a policy that give an ``Estimate``.
+
+They estimate J = E[sum_{t<T} gamma^t r_t].
 
 Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the
 log's residuals, a linear model of the log; of the last two the error counts the
@@ -76,11 +77,18 @@ class Rollouts:
 
     Attributes
     ----------
-    horizon, discount : of the value
-    episodes : of each value
-    seed : of all of them, whatever the policy and the task
-    refits, paths : how many logs are resampled, and the episodes by which J_b - J is
-        computed
+    horizon : int
+        The number of rewards.
+    discount : float
+        Gamma, in [0, 1].
+    episodes : int
+        The number of episodes of each value.
+    seed : numpy.random.SeedSequence
+        The seed of all values, whatever the policy and the task.
+    refits : int
+        How many logs are resampled.
+    paths : int
+        The number of episodes by which each J_b - J is computed.
     """
 
     horizon: int
@@ -91,12 +99,13 @@ class Rollouts:
     paths: int = 1000
 
     def _stream(self, *key: int) -> np.random.SeedSequence:
+        """Return the seed of a stream of its own."""
         return np.random.SeedSequence(
             self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key)
         )
 
     def value(self, task: ContinuousTask, policy: StatePolicy) -> MonteCarlo:
-        """J of the policy in the task."""
+        """Estimate J of the policy in the task."""
         seed = np.random.default_rng(self._stream())
         return monte_carlo_value(
             task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed
@@ -105,6 +114,7 @@ class Rollouts:
     def _returns(
         self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int
     ) -> Array:
+        """Sample returns (len(tasks), at most n) with common random numbers."""
         n = min(n, self.paths, self.episodes)
         seed = self._stream(1)
         return compare_returns(
@@ -114,16 +124,23 @@ class Rollouts:
     def estimate(
         self, learned: Any, policy: StatePolicy, status: str = "ok"
     ) -> Estimate:
-        """J in a task learned from the log, with the error of the log and of the
-        rollouts.
+        """Estimate J in a task learned from the log, with the errors of log and rollouts.
 
         Parameters
         ----------
-        learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a
-            bootstrap's log; a report begins with the value in a ``ResidualSimulator``,
-            which says how often the policy leaves what the log has seen
-        policy : of the task's states
-        status : why the value is not to be relied on, and then has no error; "ok"
+        learned : ContinuousTask
+            A task whose ``resampled(rng)`` is the same fitted to a bootstrap's log. A
+            report begins with the value in a ``ResidualSimulator``, which says how
+            often the policy leaves what the log has observed.
+        policy : function
+            The policy, of the task's states.
+        status : str, default 'ok'
+            Why the value is not to be relied on, and then has no error; or 'ok'.
+
+        Returns
+        -------
+        Estimate
+            The value.
         """
         mc = self.value(learned, policy)
         is_ok = status == "ok"
@@ -154,6 +171,7 @@ class Rollouts:
             counts = np.zeros(2)
 
             def watch(states: Array) -> Array:
+                """Count the states beyond the log's, and return the policy's probabilities."""
                 counts[:] += learned.beyond(states).sum(), len(states)
                 return policy(states)
 
@@ -192,33 +210,52 @@ def corrected_value(
     paths: int = 1000,
     seed: Seed = None,
 ) -> Estimate:
-    """J = E[sum_{t<T} gamma^t r_t] in the corrected simulator by Monte Carlo, its
-    standard error and 95% interval.
+    """Estimate J in the corrected simulator by Monte Carlo, with error and interval.
 
-        se^2 = se_MC^2 + Var_b (J_b - J),   J_b of the correction fitted to resampled episodes; by common random numbers
+    J = E[sum_{t<T} gamma^t r_t]; its standard error counts the rollouts and the log,
+
+        se^2 = se_MC^2 + Var_b (J_b - J),
+
+    J_b of the correction fitted to resampled episodes, by common random numbers.
 
     Parameters
     ----------
     corrected : ResidualSimulator
-    policy : function of states (n, d) giving probabilities (n, A)
-    n_episodes : of the value
-    horizon : T, the number of rewards
-    discount : gamma, in [0, 1]
-    refits, paths : how many logs are resampled, at least 2, and the episodes by which
-        J_b - J is computed
-    seed : the same seed gives the same bits
+        The corrected simulator.
+    policy : function
+        The policy: of states (n, d) it gives probabilities (n, A).
+    n_episodes : int
+        The number of episodes of the value.
+    horizon : int
+        T, the number of rewards.
+    discount : float, default 0.99
+        Gamma, in [0, 1].
+    refits : int, default 20
+        How many logs are resampled, at least 2.
+    paths : int, default 1000
+        The number of episodes by which each J_b - J is computed.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
 
     Returns
     -------
     Estimate
-        ``status`` is not "ok", and there is no interval, where history explains what
-        the correction leaves over: the state is not Markov then.
+        The value with its standard error and 95% interval. Its ``status`` is not "ok",
+        and there is no interval, where history explains what the correction leaves
+        over: the state is not Markov then.
 
-    Notes
-    -----
-    (n_episodes + (refits + 1) paths) horizon steps of the corrected simulator. The
-    interval is that of Student's t. It covers the variation between logs, not a change
-    that no smooth correction fits.
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+
+    See Also
+    --------
+    monte_carlo_value : The value in a task, without the error of a log.
+
+    Notes ----- Costs (n_episodes + (refits + 1) paths) horizon steps of the corrected
+    simulator. The interval is that of Student's t. It covers the variation between
+    logs, not a change that no smooth correction fits.
 
     Examples
     --------
@@ -254,11 +291,11 @@ def corrected_value(
 def refuse_impossible(
     estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0
 ) -> Estimate:
-    """Without a value that lies beyond the least and the most that the rewards can sum
-    to, and with a sentence.
+    """Return the estimate without a value that no sum of the rewards can have.
 
-    A value that is beyond by at most 1.96 standard errors is put on the bound;
-    ``scale`` multiplies values in the sentence.
+    The status then says so in a sentence. A value that is beyond the bounds by at most
+    1.96 standard errors is put on the bound; ``scale`` multiplies values in the
+    sentence.
     """
     value = estimate.value
     room = 1e-9 * max(
@@ -287,29 +324,41 @@ def refuse_impossible(
 
 
 class OnCells:
-    """What does not depend on the policies: a simulator and a log on cells, and the
-    ratio between the two.
+    """A simulator and a log on cells, and the ratio between the two.
+
+    It is what does not depend on the policies.
 
     Parameters
     ----------
-    simulator, log : the simulator, and the log, whose actions are numbers
-    settings : where the cells lie (``grid``), and what is done with what lies outside
-        of them
-    horizon, discount, seed : of the values, of the numbers of the log's states
+    simulator : ContinuousSimulator
+        The simulator.
+    log : ContinuousTransitions
+        The log, whose actions are numbers.
+    settings : Settings
+        Where the cells lie (``grid``), and what is done with what lies outside of them.
+    horizon : int
+        The number of rewards.
+    discount : float
+        Gamma, in [0, 1].
+    seed : int, Generator or SeedSequence, optional
+        The source of the numbers that the log's states get.
 
     Attributes
     ----------
     model : Discretization
-    problem : the log on the cells
-    facts : for the report
+        The simulator on the cells.
+    problem : Problem
+        The log on the cells.
+    facts : dict
+        What the report says of them.
 
     Raises
     ------
     NoCellsError
-        Too many transitions have no support.
+        If too many transitions have no support.
     ValueError
-        Settings that do not fit; states outside the cells, where ``settings.outside``
-        is "error".
+        If the settings do not fit, or states lie outside the cells and
+        ``settings.outside`` is "error".
     """
 
     def __init__(
@@ -413,7 +462,7 @@ class OnCells:
         self._bounds = float(min(paid)) * number, float(max(paid)) * number
 
     def _describe(self, name: str) -> str:
-        """The simulator on cells, in one line of a report."""
+        """Describe the simulator on cells in one line of a report."""
         model = self.model
         support = self._support
         places = (
@@ -449,13 +498,13 @@ class OnCells:
         )
 
     def plain(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
-        """The simulator on the cells without its defensive share: exact."""
+        """Compute the exact value in the simulator on the cells without a floor."""
         return Estimate(
             policy_value(self.model.plain, policy, horizon=self.problem.horizon)
         )
 
     def raw(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
-        """Off-environment evaluation on the cells, and how far its ratio has support."""
+        """Compute the off-environment value on the cells, and the support of its ratio."""
         found = OffEnvironment(self._zeta)(self.problem, policy, seed=seed)
         missing = missing_support(*self._support.values())
         return replace(
@@ -467,11 +516,13 @@ class OnCells:
     def calibrated(
         self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float
     ) -> Estimator:
-        """The raw value calibrated by ``simulate(policy)``, Monte Carlo's; not beyond
-        what the rewards can sum to.
+        """Return the estimator of the raw value, calibrated by ``simulate(policy)``.
+
+        Its values do not lie beyond what the rewards can sum to.
         """
 
         def row(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
+            """Estimate the calibrated value of a policy."""
             below = self.plain(problem, policy).value
             found = calibrated_row(
                 self.raw(problem, policy), simulate(policy), below, kind, scale
@@ -483,7 +534,7 @@ class OnCells:
         return row
 
     def others(self, wanted: Mapping[str, Estimator]) -> dict[str, Estimator]:
-        """Of finite estimators by name the rows without calibration; oee's is last."""
+        """Return the rows of finite estimators without calibration; oee's is last."""
         rows: dict[str, Estimator] = {}
         for name, estimator in wanted.items():
             if estimator != OffEnvironment():
@@ -500,8 +551,9 @@ class OnCells:
     def describe_loss(
         self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]
     ) -> str:
-        """By how much the cells change the simulator's own values, which no interval
-        counts.
+        """Describe by how much the cells change the simulator's own values.
+
+        No interval counts that.
         """
         values = {name: simulate(table).value for name, table in tables.items()}
         changes = ", ".join(
@@ -516,10 +568,11 @@ class OnCells:
         )
 
     def add_features(self, text: str) -> str:
-        """A warning with the features of the states that it numbers."""
+        """Return a warning with the features of the states that it numbers."""
         model = self.model
 
         def place(match: re.Match[str]) -> str:
+            """Return the matched state with the mean features of its cell."""
             # none, where it is over
             points = model.points[model.places.point_cell == int(match[1])]
             if len(points) == 0:
@@ -539,8 +592,10 @@ class OnCells:
 def calibrated_row(
     raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float
 ) -> Estimate:
-    """The raw value times J_continuous / J_discretised of the simulator, or plus their
-    difference, in a row of its own.
+    """Return the raw value calibrated by the simulator's value, as a row of its own.
+
+    It is multiplied by J_continuous / J_discretised of the simulator, or their
+    difference is added.
     """
     found = calibrate(
         raw,

@@ -1,14 +1,13 @@
-"""What a log says of single steps: where they are stopped (``Stops``), and what they
-scatter about f + g (``Scatter``).
+"""Stops and scatter of single steps, as a log shows them.
 
-A stop is a value that a coordinate of the next state does not pass, found in the data
-by its repetition. A free step differs smoothly from the target's; one that ends at a
-stop does not. So the simulator's own stop is undone before a correction is added, by a
-step from a little further back, and the target's is put where the corrected step passes
-it.
+A stop (``Stops``) is a value that a coordinate of the next state does not pass, found
+in the data by its repetition. A free step differs smoothly from the target's; one that
+ends at a stop does not. So the simulator's own stop is undone before a correction is
+added, by a step from a little further back, and the target's is put where the corrected
+step passes it.
 
-A corrected simulator scatters by nothing, by the simulator's own noise, or by residuals
-drawn from the log.
+A corrected simulator scatters (``Scatter``) by nothing, by the simulator's own noise,
+or by residuals drawn from the log.
 """
 
 from __future__ import annotations
@@ -38,23 +37,33 @@ ROUNDING = 1e-9  # of a displacement's deviation
 
 
 class Stops:
-    """Where steps are stopped, by a log's transitions and the simulator's own steps
-    from there.
+    """Where steps are stopped, by a log's transitions and the simulator's own steps.
 
     Parameters
     ----------
-    states, following, own : (n, d) a log's, and the simulator's next states
-    is_angle : (d,) coordinates that have no stops
+    states : ndarray of shape (n, d)
+        The log's states.
+    following : ndarray of shape (n, d)
+        The log's next states.
+    own : ndarray of shape (n, d)
+        The simulator's next states from there.
+    is_angle : ndarray of bool, shape (d,)
+        Which coordinates are angles, which have no stops.
 
     Attributes
     ----------
-    bounds : (2, d) what no next state passes; infinite where nothing is known
-    target, own : (2, d) the target's stops and the simulator's, which are the target's
-        too unless the log passes them
-    held : (side, i) -> coordinates and their values, which all have that are stopped at
-        that side of coordinate i
-    pushes : (side, i) -> (h, d) what who loses v of the h held coordinates is pushed
-        by, v C, in the others; see ``learn``
+    bounds : ndarray of shape (2, d)
+        What no next state passes; infinite where nothing is known.
+    target : ndarray of shape (2, d)
+        The target's stops.
+    own : ndarray of shape (2, d)
+        The simulator's stops, which are the target's too unless the log passes them.
+    held : dict from (side, i) to (coordinates, values)
+        The coordinates that all rows stopped at that side of coordinate i have alike,
+        and their values.
+    pushes : dict from (side, i) to ndarray of shape (h, d)
+        C: a row that loses v of the h held coordinates is pushed by v C in the others;
+        see ``learn``.
     """
 
     def __init__(
@@ -80,14 +89,15 @@ class Stops:
         }
 
     def is_stopped(self, following: Array) -> BoolArray:
-        """(n,) next states at a stop of the target."""
+        """Return which next states (n,) are at a stop of the target."""
         return np.asarray(_side(self.target, following).any(axis=1))
 
     def free(
         self, task: ContinuousTask, states: Array, actions: IntArray, own: Array
     ) -> Array:
-        """(n, d) the simulator's next states ``own`` without its stops, f(s - b) + b; b
-        is as short as is free of them.
+        """Return the simulator's next states ``own`` without its stops, f(s - b) + b, (n, d).
+
+        b is as short as is free of them.
         """
         if np.isinf(self.own).all():
             return own
@@ -104,8 +114,9 @@ class Stops:
         return free
 
     def learn(self, moved: Array, following: Array) -> None:
-        """Fit the pushes by least squares on rows that ended at a stop, ``moved`` their
-        f + g; 0 where they are too few.
+        """Fit the pushes by least squares on rows that ended at a stop.
+
+        ``moved`` is f + g of the rows. A push is 0 where the rows are too few.
         """
         for (side, i), (held, values) in self.held.items():
             rows = following[:, i] == self.target[side, i]
@@ -117,8 +128,9 @@ class Stops:
                 )[0]
 
     def push(self, moved: Array) -> Array:
-        """(n, d) steps f + g, pushed where they are stopped; the bounds are left to
-        come.
+        """Return steps f + g (n, d), pushed where they are stopped.
+
+        The bounds are not applied here.
         """
         for (side, i), (held, values) in self.held.items():
             rows = self._rows_at(side, i, moved)
@@ -128,23 +140,24 @@ class Stops:
         return moved
 
     def hold(self, following: Array) -> None:
-        """Set what is held of those that are stopped, in place."""
+        """Set the held coordinates of the rows that are stopped, in place."""
         for (side, i), (held, values) in self.held.items():
             following[np.ix_(self._rows_at(side, i, following), held)] = values
 
     def _rows_at(self, side: int, i: int, values: Array) -> BoolArray:
+        """Return which rows are stopped at this side of coordinate i."""
         return np.asarray(
             _side(self.target[:, [i]], values[:, [i]])[:, 0] == 2 * side - 1
         )
 
 
 def _side(stops: Array, values: Array) -> IntArray:
-    """(n, d) -1 at or below the lower stop, 1 at or above the upper, 0 between."""
+    """Return -1 at or below the lower stop, 1 at or above the upper, 0 between, (n, d)."""
     return np.asarray((values >= stops[1]).astype(np.int64) - (values <= stops[0]))
 
 
 def _extremes(values: Array) -> Array:
-    """(2, d) the least and the most, where ``MIN_ROWS`` end there and not all."""
+    """Return the least and the most (2, d) where ``MIN_ROWS`` end there and not all."""
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
     is_stop = ((values == ends[:, None]).sum(axis=1) >= MIN_ROWS) & (
         values.std(axis=0) > 0
@@ -153,9 +166,9 @@ def _extremes(values: Array) -> Array:
 
 
 def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
-    """The extremes that are stops: of a coordinate that is no angle and no number, and
-    for few rows.
+    """Return the extremes that are stops.
 
+    They are of a coordinate that is no angle and no number, and hold for few rows.
     Something must be held there, as a speed is at a wall: a limit that holds nothing
     else is a bound, no more.
     """
@@ -174,7 +187,7 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
 def _group_stops(
     stops: Array, values: Array
 ) -> dict[tuple[int, int], tuple[IntArray, Array]]:
-    """What is exactly alike in all rows at a stop, by side and coordinate."""
+    """Return what is exactly alike in all rows at a stop, by side and coordinate."""
     held = {}
     for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):
         rows = values[values[:, i] == stops[side, i]]
@@ -185,8 +198,9 @@ def _group_stops(
 
 
 def draw_rows(pool: tuple[IntArray, Array], uniform: Array) -> IntArray:
-    """Rows by the quantile ``uniform`` of their weights; ``pool``: rows, and the
-    running sum of their weights.
+    """Draw rows by the quantile ``uniform`` of their weights.
+
+    ``pool`` has the rows and the running sum of their weights.
     """
     rows, running = pool
     place = np.searchsorted(running, uniform * running[-1], side="right")
@@ -194,8 +208,9 @@ def draw_rows(pool: tuple[IntArray, Array], uniform: Array) -> IntArray:
 
 
 class Neighbors:
-    """States (n, d) of a task among which the nearest are looked for, each coordinate
-    in units of its deviation.
+    """States (n, d) of a task among which the nearest are looked for.
+
+    Each coordinate is measured in units of its deviation.
     """
 
     def __init__(self, task: ContinuousTask, states: Array) -> None:
@@ -208,8 +223,9 @@ class Neighbors:
     def find(
         self, states: Array, rows: IntArray, k: int = 1, *, key: Hashable
     ) -> IntArray:
-        """(n, k) or, with k = 1, (n,) which of ``rows`` are nearest; ``key`` names
-        these rows, whose tree is kept.
+        """Return which of ``rows`` are nearest, (n, k), or (n,) with k = 1.
+
+        ``key`` names these rows, whose tree is kept.
         """
         if key not in self._trees:
             self._trees[key] = cKDTree(self._places[rows])
@@ -219,22 +235,36 @@ class Neighbors:
 
 
 class Scatter:
-    """e, coordinate by coordinate.
+    """The scatter e of a corrected simulator, coordinate by coordinate.
 
     Parameters
     ----------
-    task, log, actions : the simulator, the log and the numbers (n,) of its actions
-    own : the simulator's steps from the log's rows, without noise
-    left_over : (n, k) what f + g leaves of the log's next states, and of its rewards
-        where they are learned
-    is_free : (n,) rows that count
-    periods : of angles, as in ``shortest``
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions
+        The log.
+    actions : ndarray of int, shape (n,)
+        The numbers of the log's actions.
+    own : Moves
+        The simulator's steps from the log's rows, without noise.
+    left_over : ndarray of shape (n, k)
+        What f + g leaves of the log's next states, and of its rewards where they are
+        learned.
+    is_free : ndarray of bool, shape (n,)
+        The rows that count.
+    periods : ndarray of shape (d,)
+        The periods of angles, as in ``shortest``.
+    rng : numpy.random.Generator
+        The source of random numbers.
 
     Attributes
     ----------
-    spread : (k,) root mean square of the simulator's own noise
-    own : (k,) coordinates that scatter as the simulator does
-    drawn : (k,) coordinates whose e is drawn from the log
+    spread : ndarray of shape (k,)
+        The root mean square of the simulator's own noise.
+    own : ndarray of bool, shape (k,)
+        The coordinates that scatter as the simulator does.
+    drawn : ndarray of bool, shape (k,)
+        The coordinates whose e is drawn from the log.
     """
 
     def __init__(
@@ -303,12 +333,13 @@ class Scatter:
 
     @property
     def local(self) -> bool:
-        """Whether it is drawn from rows near by."""
+        """Return whether e is drawn from rows near by."""
         return self._near is not None
 
     def _is_local(self, near: IntArray, some: IntArray) -> bool:
-        """Whether the residuals of the rows near by, or their sizes, explain some of a
-        row's.
+        """Return whether the residuals of rows near by explain some of a row's.
+
+        Their sizes may explain its size instead.
         """
         some = some[np.bincount(self._actions)[self._actions[some]] > N_NEIGHBORS]
         if len(some) < 50:
@@ -335,8 +366,9 @@ class Scatter:
         return False
 
     def _set_weights(self, weights: Array) -> None:
-        """Of each action its rows in order with these weights; of an action without
-        rows, all.
+        """Set the rows of each action in order with these weights.
+
+        An action without rows has all of them.
         """
         self._weights = weights
         self._pools = []
@@ -346,14 +378,15 @@ class Scatter:
             self._pools.append((pool, np.cumsum(weights[pool])))
 
     def reweighted(self, weights: Array) -> Scatter:
-        """The same with rows drawn by these weights."""
+        """Return the same scatter with rows drawn by these weights."""
         again = copy.copy(self)
         again._set_weights(weights)
         return again
 
     def draw(self, states: Array, actions: IntArray, uniform: Array) -> Array:
-        """(n, k) residuals of logged rows of the same action, by the quantile
-        ``uniform``.
+        """Draw residuals (n, k) of logged rows of the same action.
+
+        They are chosen by the quantile ``uniform``.
         """
         chosen = np.empty(len(states), dtype=np.int64)
         for a in np.unique(actions):
@@ -376,5 +409,5 @@ class Scatter:
 
 
 def root_mean_square(values: Array) -> Array:
-    """Of each column."""
+    """Compute the root mean square of each column."""
     return np.asarray(np.sqrt((values**2).mean(axis=0)))
