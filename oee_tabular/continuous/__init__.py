@@ -1,5 +1,4 @@
-"""Tasks with continuous states: their logs, the finite MDPs that are made of them, and
-values by way of those.
+"""Tasks with continuous states, their logs, finite MDPs of them, and their values.
 
 A wing: it imports the core, and nothing of the core imports it but on use, for the
 names that ``oee_tabular.tasks``, ``data`` and ``report`` show. A task is a

@@ -352,7 +352,7 @@ def evaluate_continuous(
     }  # policies by their tables on the cells
 
     def simulate_table(table: Array) -> MonteCarlo:
-        """Estimate the value of a policy, given by its table on the cells, in the simulator."""
+        """Estimate the value of a policy's table on the cells, in the simulator."""
         return simulate(known[np.asarray(table).tobytes()])
 
     def evaluate_row(
@@ -543,7 +543,10 @@ def _report_rows(
     guaranteed: bool = False,
     quick: bool = False,
 ) -> Report:
-    """Return the report of rows without a finite problem, each beside its own interval."""
+    """Return the report of rows without a finite problem.
+
+    Each row stands beside its own interval.
+    """
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if _checks.boolean(guaranteed, "guaranteed"):
         raise ArgumentError(

@@ -1,11 +1,11 @@
-"""The Gen3: where its hand is, the joint rates that move it, its controller, and its
-logs as logs of the hand's position.
+"""The kinematics of a Kinova Gen3, its controller, and its logs of the hand's position.
 
 A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s.
 Resolved rates turn it into a moving reference of the joints, and position servos follow
 that. Where the hand is needs NumPy alone:
 
-    T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),      dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
+    T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),
+    dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
 
 The offsets p_k (m) and r_k (rad) are read from gen3.xml, the file that MuJoCo
 simulates: there is one set of numbers.
@@ -43,16 +43,19 @@ DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
 
 
 def arm_xml() -> str:
-    """The MJCF of the stand-in: published geometry, masses, inertias and limits;
-    assumed armature and servo gains.
+    """Return the MJCF of the stand-in.
+
+    It has published geometry, masses, inertias and limits, and assumed armature and
+    servo gains.
     """
     return resources.files("oee_tabular.continuous").joinpath("gen3.xml").read_text()
 
 
 @functools.cache
 def _chain() -> tuple[Array, Array]:
-    """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end
-    effector.
+    """Return offsets (8, 3) in m and turns about x (8,) in rad.
+
+    They are of the seven joints and the end effector.
     """
     bodies = [
         body.attrib
@@ -67,7 +70,7 @@ def _chain() -> tuple[Array, Array]:
 
 
 def _frames(joints: Array) -> tuple[Array, Array, Array]:
-    """Joint origins (n, 7, 3), joint axes (n, 7, 3) and the end effector (n, 3)."""
+    """Compute joint origins (n, 7, 3), joint axes (n, 7, 3) and the end effector (n, 3)."""
     offsets, turns = _chain()
     n = len(joints)
     place = np.zeros((n, 3))
@@ -90,8 +93,9 @@ def _frames(joints: Array) -> tuple[Array, Array, Array]:
 
 
 def end_effector(joints: Array) -> Array:
-    """(n, 3) position of the end effector in m, in the frame of the base, at joint
-    angles (n, 7) in rad.
+    """Compute the position of the end effector, (n, 3) in m.
+
+    The joint angles are (n, 7) in rad; the frame is that of the base.
 
     Examples
     --------
@@ -110,10 +114,10 @@ def end_effector(joints: Array) -> Array:
 
 
 def resolved_rates(joints: Array, velocity: Array) -> Array:
-    """(n, 7) joint speeds in rad/s that move the end effector with ``velocity`` (n, 3)
-    m/s and do not turn it.
+    """Compute joint speeds (n, 7) in rad/s that move the end effector without turning it.
 
-    Damped least squares on the 6-row Jacobian; O(n).
+    It has the ``velocity`` (n, 3) in m/s. Damped least squares on the 6-row Jacobian;
+    costs O(n).
     """
     origins, axes, place = _frames(joints)
     linear = np.cross(axes, place[:, None, :] - origins)
@@ -149,7 +153,7 @@ REACH = np.array([0.24, 0.24, 0.20])
 
 
 def goal_number(goal: object) -> int:
-    """``goal`` as a row number of GOALS."""
+    """Return ``goal`` as a row number of GOALS."""
     if (
         isinstance(goal, bool)
         or not isinstance(goal, int | np.integer)
@@ -164,8 +168,10 @@ def goal_number(goal: object) -> int:
 
 
 class HandTask(ContinuousTask):
-    """What the arm and the model of its hand share: 27 commands, the position (x, y, z)
-    as the feature, and the cost of it.
+    """The base of the arm and of the model of its hand.
+
+    They share 27 commands, the position (x, y, z) of the hand in m as the feature, and
+    its cost.
     """
 
     actions = COMMANDS
@@ -180,39 +186,106 @@ class HandTask(ContinuousTask):
     goal: int
 
     def features(self, states: Array) -> Array:
-        """The measured position: the first three coordinates."""
+        """Return the measured position, the first three coordinates, in m.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 3)
+            The positions.
+        """
         return np.ascontiguousarray(states[:, :3])
 
     def towards(self, goal: int) -> Self:
-        """The same with another goal."""
+        """Return the same task with another goal.
+
+        Parameters
+        ----------
+        goal : int
+            The goal, 0 to 4.
+
+        Returns
+        -------
+        HandTask
+            The task.
+        """
         return replace(self, goal=goal)  # type: ignore[type-var]
 
     def costs(self, states: Array) -> Array:
-        """(n,) r(x) = -|x - goal| in m."""
+        """Compute r(x), minus the distance from the hand to the goal.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The rewards in m.
+        """
         return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
 
     def reward_terms(self, states: Array) -> Array:
-        """(n, 1) the costs."""
+        """Return the rewards as the one term, (n, 1).
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of shape (n, 1)
+            The rewards in m.
+        """
         return self.costs(states)[:, None]
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
-        """The cost of the state before the transition."""
+        """Return the reward of the state before the transition.
+
+        Parameters
+        ----------
+        before : ndarray of shape (n, 1)
+            The reward terms of the states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        after : ndarray of shape (n, 1)
+            The reward terms of the next states.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The rewards in m.
+        """
         return before[:, 0]
 
 
 @dataclass(frozen=True)
 class KinovaPolicy:
-    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a
-    function of states giving (n, 27).
+    """The proportional controller mixed with random commands.
 
-    The controller commands sign(goal_i - x_i) along each axis that is off by more than
-    the dead band of 0.015 m. It looks at the first three coordinates of a state alone,
-    the measured position in m: it is the same for the arm and for its model.
+    It is delta * uniform + (1 - delta) * controller, a function of states giving
+    probabilities (n, 27). The controller commands sign(goal_i - x_i) along each axis
+    that is off by more than the dead band of 0.015 m. It looks at the first three
+    coordinates of a state alone, the measured position in m: it is the same for the arm
+    and for its model.
 
     Parameters
     ----------
-    goal : 0..4, a row of GOALS
-    delta : share of random commands, in [0, 1]
+    goal : int, default 0
+        The goal, 0 to 4, a row of GOALS.
+    delta : float, default 0.0
+        The share of random commands, in [0, 1].
+
+    Raises
+    ------
+    ValueError
+        If ``goal`` is no row of GOALS, or ``delta`` outside of [0, 1].
 
     Examples
     --------
@@ -230,7 +303,7 @@ class KinovaPolicy:
         _checks.number_in(self.delta, "delta", 0.0, 1.0)
 
     def __call__(self, states: Array) -> Array:
-        """(n, 27) probabilities of the commands."""
+        """Return the probabilities (n, 27) of the commands."""
         apart = GOALS[self.goal] - states[:, :3]
         command = (
             np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64)
@@ -252,17 +325,31 @@ def record_goals(
     horizon: int = HORIZON,
     seed: Any = None,
 ) -> ContinuousTransitions:
-    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``,
-    by default the paper's 50 trajectories.
+    """Record runs to each of the five goals, by default the paper's 50 trajectories.
 
     Parameters
     ----------
-    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
-    n_runs : to each goal; goal g has the episodes g n_runs to (g + 1) n_runs - 1, and
-        the rewards of its goal
-    delta : share of random commands, in [0, 1]
-    horizon : commands of a run
-    seed : the same seed gives the same bits
+    arm : KinovaArm or KinovaHand
+        The arm, which needs MuJoCo, or a model of its hand; its own goal is not used.
+    n_runs : int, default 10
+        The number of runs to each goal. Goal g has the episodes g n_runs to (g + 1)
+        n_runs - 1, and the rewards of its goal.
+    delta : float, default 0.0
+        The share of random commands, in [0, 1].
+    horizon : int, default 25
+        The number of commands of a run.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers. The same seed gives the same bits.
+
+    Returns
+    -------
+    ContinuousTransitions
+        The log, under ``kinova_policy(goal, delta)``.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
 
     Examples
     --------
@@ -290,17 +377,29 @@ def record_goals(
 def hand_log(
     log: ContinuousTransitions, *, speed: float | None = None
 ) -> ContinuousTransitions:
-    """The same transitions with the hand's position (n, 3) in m as the state, and
-    commands in {-1, 0, 1}^3.
+    """Return the same transitions with the hand's position as the state.
 
     Parameters
     ----------
-    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the
-        stand-in's own)
-    speed : m/s that a command of 1 stands for, where the log's actions are velocities;
-        None: they are numbers of the 27 commands, or their directions
+    log : ContinuousTransitions
+        A log with states of 3 coordinates (position, m), 7 (joint angles, rad) or 27
+        (the stand-in's own).
+    speed : float, optional
+        The speed in m/s for which a command of 1 stands, where the log's actions are
+        velocities. None means that they are numbers of the 27 commands, or their
+        directions.
 
-    Positions beyond 1.3 m and angles beyond 8 pi (millimetres, degrees?) are errors.
+    Returns
+    -------
+    ContinuousTransitions
+        The log, with states (n, 3) in m and numbers of commands or commands in {-1, 0,
+        1}^3.
+
+    Raises
+    ------
+    ValueError
+        If a position is beyond 1.3 m or an angle beyond 8 pi (millimetres, degrees?),
+        or states or actions have other lengths.
 
     Examples
     --------
@@ -334,14 +433,29 @@ def hand_log(
 def load_kinova_log(
     path: str | os.PathLike[str], *, speed: float | None = None
 ) -> ContinuousTransitions:
-    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with
-    continuous observations.
+    """Read a file and return its transitions with the hand's position as the state.
 
     Parameters
     ----------
-    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or
-        id
-    speed : m/s that a command of 1 stands for, see ``hand_log``
+    path : str or path-like
+        A file whose name ends in .csv, .parquet or .npz; or else a Minari folder or id,
+        with continuous observations.
+    speed : float, optional
+        The speed in m/s for which a command of 1 stands; see ``hand_log``.
+
+    Returns
+    -------
+    ContinuousTransitions
+        The log, with states (n, 3) in m.
+
+    Raises
+    ------
+    ValueError
+        If the file is no such log, or ``hand_log`` refuses it.
+
+    See Also
+    --------
+    hand_log : The same for a log that is at hand.
 
     Examples
     --------
@@ -361,7 +475,7 @@ def load_kinova_log(
 
 
 def _positions(states: Array, name: str) -> Array:
-    """(n, 3) the positions of the hand, which must be possible ones."""
+    """Return the positions of the hand, (n, 3), which must be possible ones."""
     width = states.shape[1]
     if width not in (3, N_JOINTS, N_ARM_STATES):
         raise ArgumentError(

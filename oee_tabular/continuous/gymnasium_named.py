@@ -1,14 +1,13 @@
-"""Gymnasium environments by id with other physics, ``Pendulum-v1:g=9``, as continuous
-simulators.
+"""Gymnasium environments by id with other physics, as continuous simulators.
 
-Physics are arguments of the constructor, constants of the class, and fields of a MuJoCo
-model. A constant is set while the environment is made, wherever its ``__init__`` would
-set it, so that what is computed from it there (CartPole's ``polemass_length`` from
-``length``) follows.
+Physics (``Pendulum-v1:g=9``) are arguments of the constructor, constants of the class,
+and fields of a MuJoCo model. A constant is set while the environment is made, wherever
+its ``__init__`` would set it, so that what is computed from it there (CartPole's
+``polemass_length`` from ``length``) follows.
 
 How a state is read and set is found: classic control keeps it in ``unwrapped.state``;
-MuJoCo's is (qpos, qvel), set by ``set_state``. Of others two functions say it, get(env)
-and set(env, state).
+MuJoCo's is (qpos, qvel), set by ``set_state``. For others two functions say it,
+get(env) and set(env, state).
 """
 
 from __future__ import annotations
@@ -97,22 +96,35 @@ CLASSIC: Mapping[str, dict[str, Any]] = {
 def gymnasium_simulator(
     spec: str, *, state: str | None = None, actions: object = None
 ) -> ContinuousSimulator:
-    """The Gymnasium environment that ``spec`` names, as a continuous simulator.
+    """Make the continuous simulator of the Gymnasium environment that ``spec`` names.
 
     Parameters
     ----------
-    spec : ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the
-        environment, its constants (``gravity``, ``LINK_MASS_2``), fields of a MuJoCo
-        model (arrays whole); ``MODULE:ID`` imports what registers it
-    state : "module:get,set", functions get(env) -> (d,) and set(env, state); None:
-        found
-    actions : of a Box, see ``simulator.action_set``
+    spec : str
+        ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the environment,
+        its constants (``gravity``, ``LINK_MASS_2``), fields of a MuJoCo model (arrays
+        whole). ``MODULE:ID`` imports what registers it.
+    state : str, optional
+        "module:get,set", functions get(env) giving (d,) numbers and set(env, state).
+        None means that they are found.
+    actions : int or array_like, optional
+        The actions of a Box: how many levels each coordinate has, the levels, or the
+        commands (A, k); see ``gymnasium_named.action_set``.
+
+    Returns
+    -------
+    ContinuousSimulator
+        The simulator, whose task is a ``GymnasiumTask``.
 
     Raises
     ------
     ValueError
-        An unknown id, physics that it lacks, a state that cannot be set or does not
-        decide the next one.
+        If the id is unknown, the environment lacks the physics, or its state cannot be
+        set or does not decide the next one.
+
+    See Also
+    --------
+    GymnasiumTask : A task of an environment that a function makes.
 
     Examples
     --------
@@ -138,8 +150,9 @@ def gymnasium_simulator(
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
-    """The id and the physics of ``ID:key=value,...``; a comma after the id does as
-    well.
+    """Return the id and the physics of ``ID:key=value,...``.
+
+    A comma after the id does as well.
 
     >>> gymnasium_spec("Pendulum-v1,g=9.0")
     ('Pendulum-v1', {'g': 9.0})
@@ -151,8 +164,9 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
 
 
 def is_continuous_id(spec: str) -> bool:
-    """Whether ``spec`` begins with the id of a Gymnasium environment whose observations
-    are no numbers of states.
+    """Return whether ``spec`` begins with the id of an environment of continuous states.
+
+    Its observations are then no numbers of states.
     """
     import gymnasium
 
@@ -169,8 +183,9 @@ def is_continuous_id(spec: str) -> bool:
 
 
 def _register(spec: str) -> str:
-    """``spec`` from its id on; the module that stands before it is imported, which
-    registers the environment.
+    """Return ``spec`` from its id on.
+
+    The module that stands before it is imported, which registers the environment.
     """
     own = OWN_ID.match(spec)
     if own is None:
@@ -181,6 +196,7 @@ def _register(spec: str) -> str:
 
 
 def _parse_state(state: str) -> dict[str, Any]:
+    """Return the two functions that read and set a state, by name."""
     names = [name.strip() for name in state.split(",", 1)]
     module = state.partition(":")[0]
     if len(names) < 2:
@@ -201,8 +217,9 @@ def _parse_state(state: str) -> dict[str, Any]:
 
 
 def _find_state(env: Any, identifier: str) -> dict[str, Any]:
-    """What is known of the state: of classic control, of MuJoCo, else that
-    ``env.state`` is numbers.
+    """Return what is known of the state of an environment.
+
+    It is that of classic control, or MuJoCo's; of others ``env.state`` must be numbers.
     """
     for owner in type(env).__mro__:
         if owner.__name__ in CLASSIC and owner.__module__.startswith("gymnasium."):
@@ -230,7 +247,7 @@ def _find_state(env: Any, identifier: str) -> dict[str, Any]:
 
 
 def _describe_mujoco(model: Any) -> dict[str, Any]:
-    """(qpos, qvel); hinges without a range are angles."""
+    """Return how a state (qpos, qvel) is read and set; hinges without a range are angles."""
     nq = int(model.nq)
     names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(
         f"qvel_{i}" for i in range(int(model.nv))
@@ -241,9 +258,11 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
     turns = set(np.asarray(model.jnt_qposadr)[free].tolist())
 
     def get(env: Any) -> Array:
+        """Return the state of an environment."""
         return np.concatenate([env.unwrapped.data.qpos, env.unwrapped.data.qvel])
 
     def write(env: Any, state: Array) -> None:
+        """Set the state of an environment."""
         # of the step before, which is another's
         env.unwrapped.data.qacc_warmstart[:] = 0.0
         env.unwrapped.set_state(np.array(state[:nq]), np.array(state[nq:]))
@@ -258,20 +277,27 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
 
 
 def action_set(space: Any, given: Any = None) -> Array:
-    """(A,) numbers of a Discrete space, or (A, k) commands of a Box.
+    """Return the actions: numbers (A,) of a Discrete space, or commands (A, k) of a Box.
 
     Parameters
     ----------
-    space : Gymnasium's Discrete or Box
-    given : of a Box, how many levels each coordinate has, evenly from low to high
-        (None: 9 of one coordinate, 5 of two, else 3); or the levels themselves, (m,);
-        or the commands, (A, k)
+    space : gymnasium.spaces.Discrete or gymnasium.spaces.Box
+        The action space.
+    given : int or array_like, optional
+        For a Box, how many levels each coordinate has, evenly from low to high (None
+        means 9 of one coordinate, 5 of two, else 3); or the levels themselves, (m,); or
+        the commands, (A, k).
+
+    Returns
+    -------
+    ndarray of shape (A,) or (A, k)
+        The actions.
 
     Raises
     ------
     ValueError
-        Another space; levels of an endless range; actions of a Discrete space; commands
-        outside the space.
+        If the space is another, levels of an endless range are asked for, actions of a
+        Discrete space are given, or commands lie outside the space.
 
     Examples
     --------
@@ -325,10 +351,10 @@ def action_set(space: Any, given: Any = None) -> Array:
 
 
 class Physics:
-    """Environment ``identifier`` with these parameters by name; a ValueError for what
-    it does not have.
+    """An environment's id with parameters by name.
 
-    With a ``task`` of the environment it is a ``task_of`` of ``fit_parameters``.
+    What the environment does not have is a ValueError. With a ``task`` of the
+    environment it is a ``task_of`` of ``fit_parameters``.
     """
 
     task: Any = None
@@ -381,7 +407,7 @@ class Physics:
         env.close()
 
     def make(self, point: str = "entry_point", **arguments: Any) -> Any:
-        """The environment, without Gymnasium's wrappers."""
+        """Make the environment, without Gymnasium's wrappers."""
         import gymnasium
 
         owner = _load(getattr(self.spec, point))
@@ -395,6 +421,7 @@ class Physics:
                 )
 
             def hold(env: object, name: str, value: object) -> None:
+                """Set an attribute, of a constant always to the number that was given."""
                 object.__setattr__(env, name, self._constants.get(name, value))
 
             members = self._constants | {
@@ -426,22 +453,25 @@ class Physics:
 
     @property
     def make_vector(self) -> Callable[[int], Any] | None:
-        """n -> n environments that step at once, where Gymnasium has such; None where
-        not.
+        """Return a function of n that makes n environments which step at once.
+
+        It is None where Gymnasium has no such.
         """
         if self.spec.vector_entry_point is None or self._fields:
             return None
         return lambda n: self.make("vector_entry_point", num_envs=n)
 
     def __call__(self, **parameters: float) -> Any:
-        """The task with these parameters."""
+        """Return the task with these parameters."""
         changed = Physics(self.identifier, self.given | parameters)
         return self.task.with_environment(
             changed.make, changed.make_vector, changed.given
         )
 
     def known(self) -> dict[str, float]:
-        """Name -> number, as it is: arguments, constants, and elements of a MuJoCo
+        """Return every number of the environment by its name, as it is.
+
+        Numbers are arguments, constants, and elements of a MuJoCo
         model (body_mass.pole).
         """
         env = self.make()
@@ -458,18 +488,21 @@ class Physics:
 
 
 def _load(point: object) -> Any:
+    """Return what makes an environment: an entry point, or the object that it names."""
     from gymnasium.envs.registration import load_env_creator
 
     return point if callable(point) else load_env_creator(str(point))
 
 
 def _is_number(value: object) -> bool:
+    """Return whether a value is a number and no boolean."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def _numbers_of(inner: object) -> dict[str, Any]:
-    """The attributes of an environment that are numbers, its class's too, by name; none
-    that are computed.
+    """Return an environment's attributes that are numbers, its class's too, by name.
+
+    None is computed by a property.
     """
     names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
     plain = [
@@ -481,8 +514,9 @@ def _numbers_of(inner: object) -> dict[str, Any]:
 
 
 def _elements(inner: Any) -> dict[str, Any]:
-    """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction
-    and gear have more than the first.
+    """Return views of the elements of an environment's MuJoCo model by FIELD.ELEMENT.
+
+    Friction and gear have more than the first number.
     """
     found: dict[str, Any] = {}
     model: Any = getattr(inner, "model", None)
@@ -497,7 +531,7 @@ def _elements(inner: Any) -> dict[str, Any]:
 
 
 def _set_field(inner: Any, key: str, value: Any) -> None:
-    """A field of a MuJoCo model, an array whole, or one element by its name."""
+    """Set a field of a MuJoCo model, an array whole, or one element by its name."""
     import mujoco
 
     model = inner.model

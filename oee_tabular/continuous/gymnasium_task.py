@@ -1,12 +1,11 @@
-"""Any Gymnasium environment whose state can be read and set, as a continuous task; and
-logs by stepping one.
+"""Continuous tasks of Gymnasium environments whose state can be read and set.
 
 The state must be the environment's own, not its observation: CartPole's observations
 are float32 copies of a float64 state, Pendulum's leave the angle to be found from its
 sine and cosine. Say how it is read and set, and which actions there are. A record of
 random actions is then stepped again from its states: does a state decide the next one,
 can many states be stepped at once, how many random numbers does a step draw
-(``Chance``).
+(``Chance``). Logs are made by stepping an environment, too.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ FEW = 0.05
 
 
 def read_state(env: Any) -> Array:
-    """The numbers ``env.unwrapped.state``."""
+    """Return the numbers ``env.unwrapped.state``."""
     return np.array(env.unwrapped.state, dtype=np.float64)
 
 
@@ -58,36 +57,57 @@ def write_state(env: Any, state: Array) -> None:
 class GymnasiumTask(ContinuousTask):
     """A Gymnasium environment with a settable state as a ContinuousTask.
 
+    States, rewards and their units are the environment's own.
+
     Parameters
     ----------
-    make : function without arguments that makes the environment; what is stepped is
-        ``env.unwrapped``, so that wrappers (time limits, scalings) do nothing
-    actions : (A,) or (A, k), what is passed to ``step``: integers where the
-        environment's actions are Discrete
-    state_names : names of the d coordinates that ``get_state`` returns; default: its
-        own ``state_names``, or state_0, ...
-    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an
-        angle; for grids. Default: what random actions reach and a tenth more, of an
-        angle one turn; no angles
-    get_state, set_state : read the state of an environment as (d,) numbers; put the
-        environment into such a state, as if no episode had ended there. Default: its
-        ``unwrapped.state``
-    terminates : whether episodes can end before a time limit
-    over : function of states (n, d) giving (n,) which are over, for vertices and logs
-        (default: none; steps always ask the environment)
-    reward_between : function of (states, action numbers, next states), optional
-    parameters : what distinguishes it, written into files
-    make_vector : function of n that makes n environments whose ``state`` is (d, n) and
-        which step at once; used where it repeats the steps of one, and the
-        environment's own step does not do so with arrays in place of numbers
-    check_steps : how many recorded steps are stepped again from their states; 0: none
+    make : function
+        Makes the environment, without arguments. What is stepped is ``env.unwrapped``,
+        so that wrappers (time limits, scalings) do nothing.
+    actions : array_like of shape (A,) or (A, k)
+        What is passed to ``step``: integers where the environment's actions are
+        Discrete.
+    state_names : sequence of str, optional
+        The names of the d coordinates that ``get_state`` returns; by default its own
+        ``state_names``, or state_0, ...
+    low : array_like of shape (d,), optional
+        The lower ends of the usual range of each coordinate, for grids. By default what
+        random actions reach and a tenth more, for an angle one turn.
+    high : array_like of shape (d,), optional
+        The upper ends of the usual ranges.
+    get_state : function, optional
+        Reads the state of an environment as (d,) numbers; by default its
+        ``unwrapped.state``.
+    set_state : function, optional
+        Puts an environment into such a state, as if no episode had ended there.
+    periodic : tuple of bool, optional
+        For each coordinate, whether it is an angle; by default none is.
+    terminates : bool, default True
+        Whether episodes can end before a time limit.
+    over : function, optional
+        Of states (n, d) it gives (n,) which are terminal, for vertices and logs. By
+        default none is; steps always ask the environment.
+    reward_between : function, optional
+        Of states, action numbers and next states it gives the rewards (n,).
+    parameters : dict, optional
+        What distinguishes it, which is written into files.
+    make_vector : function, optional
+        Of n it makes n environments whose ``state`` is (d, n) and which step at once.
+        It is used where it repeats the steps of one, and the environment's own step
+        does not do so with arrays in place of numbers.
+    check_steps : int, default 200
+        How many recorded steps are stepped again from their states; 0 means none.
 
     Raises
     ------
     ValueError
-        Functions, states, ranges and actions that do not fit the environment; a state
-        that does not decide the next one, or a step that draws random numbers of its
-        own (in how many steps, in which coordinate, by how much).
+        If functions, states, ranges or actions do not fit the environment, if a state
+        does not decide the next one, or if a step draws random numbers of its own (in
+        how many steps, in which coordinate, by how much).
+
+    See Also
+    --------
+    gymnasium_simulator : Make a simulator of an environment by its id.
 
     Notes
     -----
@@ -209,11 +229,10 @@ class GymnasiumTask(ContinuousTask):
             self.n_disturbances = self._count_draws(*record)
 
     def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
-        """Step a record of random actions again from its states, in another order; its
-        (s, a).
+        """Step a record of random actions again from its states; return its (s, a).
 
-        What differs is an error, where it is at most a twentieth of the steps a
-        warning.
+        The order is another. What differs is an error, where it is at most a twentieth
+        of the steps a warning.
         """
         env.reset(seed=0)
         rng = np.random.default_rng(0)
@@ -221,6 +240,7 @@ class GymnasiumTask(ContinuousTask):
         numbers = rng.integers(self.n_actions, size=steps)
 
         def choose(state: Array) -> int:
+            """Return the next recorded action, and keep the generator's state."""
             generators.append(copy.deepcopy(env.unwrapped.np_random))
             return int(numbers[len(generators) - 1])
 
@@ -262,9 +282,7 @@ class GymnasiumTask(ContinuousTask):
         states: Array,
         numbers: IntArray,
     ) -> bool:
-        """Whether this way of stepping many states at once does as the environment does
-        one by one.
-        """
+        """Return whether this way of stepping many states does as the environment does."""
         one = self.one_by_one(states, numbers, np.random.default_rng(0))
         try:
             with warnings.catch_warnings(action="ignore"):
@@ -280,8 +298,9 @@ class GymnasiumTask(ContinuousTask):
         )
 
     def _count_draws(self, states: Array, numbers: IntArray) -> int:
-        """The most random numbers that one of these steps draws; 0: none, or others
-        than ``Chance`` has.
+        """Return the most random numbers that one of these steps draws.
+
+        It is 0 where there are none, or others than ``Chance`` has.
         """
         chances = [
             Chance(xi)
@@ -296,7 +315,22 @@ class GymnasiumTask(ContinuousTask):
     def reward_between(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> Array | None:
-        """The function that was given, if one was."""
+        """Compute the rewards of given transitions by the function that was given.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        next_states : ndarray of shape (n, d)
+            The next states.
+
+        Returns
+        -------
+        ndarray of shape (n,) or None
+            The rewards; None where no function was given.
+        """
         return (
             None
             if self._reward_between is None
@@ -306,7 +340,22 @@ class GymnasiumTask(ContinuousTask):
     def with_environment(
         self, make: Callable[[], Any], make_vector: Any, parameters: dict[str, Any]
     ) -> GymnasiumTask:
-        """The same task of another environment of the kind, not checked again."""
+        """Return the same task of another environment of the kind, not checked again.
+
+        Parameters
+        ----------
+        make : function
+            Makes the environment, without arguments.
+        make_vector : function or None
+            Of n it makes n environments that step at once.
+        parameters : dict
+            What distinguishes it.
+
+        Returns
+        -------
+        GymnasiumTask
+            The task.
+        """
         again = copy.copy(self)
         again._make = make
         again._env = make()
@@ -317,25 +366,72 @@ class GymnasiumTask(ContinuousTask):
 
     @property
     def steps_at_once(self) -> bool:  # type: ignore[override]
-        """Whether many states are stepped at once."""
+        """Return whether many states are stepped at once."""
         return self._at_once is not None
 
     def read(self, env: object) -> Array:
-        """(d,) the state of an environment."""
+        """Return the state of an environment.
+
+        Parameters
+        ----------
+        env : gymnasium.Env
+            The environment.
+
+        Returns
+        -------
+        ndarray of shape (d,)
+            The state.
+        """
         return np.array(self._get(env), dtype=np.float64)
 
     def parameters(self) -> dict[str, Any]:
-        """As given."""
+        """Return the parameters that were given.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return self._parameters
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step from each state through the environment's own ``step``."""
+        """Take one step from each state through the environment's own ``step``.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, n_disturbances)
+            The disturbance xi, drawn from N(0, I).
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         if self.n_disturbances:
             return self.one_by_one(states, actions, [Chance(xi) for xi in disturbance])
         return self.step(states, actions, np.random.default_rng(0))
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """One step from each state; the environment's random numbers are ``rng``'s."""
+        """Take one random step from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        rng : numpy.random.Generator
+            The source of the environment's random numbers.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
+        """
         if self.n_disturbances:
             return super().step(states, actions, rng)
         if self._at_once is not None and len(states) >= FEWEST_AT_ONCE:
@@ -343,9 +439,7 @@ class GymnasiumTask(ContinuousTask):
         return self.one_by_one(states, actions, rng)
 
     def _step_arrays(self, states: Array, actions: IntArray) -> Moves:
-        """By the environment's own step, whose formulas take arrays in place of
-        numbers.
-        """
+        """Take steps by the environment's own step, with arrays in place of numbers."""
         inner = self._env.unwrapped
         n = len(states)
         inner.np_random = NO_CHANCE
@@ -361,7 +455,7 @@ class GymnasiumTask(ContinuousTask):
         )
 
     def _step_vector(self, states: Array, actions: IntArray) -> Moves:
-        """By Gymnasium's environments that step together."""
+        """Take steps by Gymnasium's environments that step together."""
         assert self._make_vector is not None
         envs = self._make_vector(len(states)).unwrapped
         envs.reset(seed=0)
@@ -382,8 +476,21 @@ class GymnasiumTask(ContinuousTask):
         actions: IntArray,
         rng: np.random.Generator | Sequence[Chance],
     ) -> Moves:
-        """Each state put into the environment by itself; random numbers are one
-        generator's, or each its own.
+        """Take steps from states that are put into the environment one by one.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        rng : numpy.random.Generator or sequence of Chance
+            One generator of all random numbers, or the numbers of each step.
+
+        Returns
+        -------
+        Moves
+            The next states, the rewards, and whether the next states are terminal.
         """
         env = self._env
         following = np.empty_like(states)
@@ -399,7 +506,20 @@ class GymnasiumTask(ContinuousTask):
         return Moves(following, reward, over)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """By resetting the environment."""
+        """Draw initial states by resetting the environment.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            The states.
+        """
         self._env.reset(seed=int(rng.integers(2**31)))
         found = np.empty((n, self.n_state))
         for i in range(n):
@@ -408,12 +528,31 @@ class GymnasiumTask(ContinuousTask):
         return found
 
     def initial_points(self) -> tuple[Array, Array]:
-        """5000 resets of one seed."""
+        """Return the states after 5000 resets of one seed, with equal weights.
+
+        Returns
+        -------
+        states : ndarray of shape (5000, d)
+            The states.
+        weights : ndarray of shape (5000,)
+            The weights, which sum to 1.
+        """
         states = self.initial_states(5000, np.random.default_rng(0))
         return states, np.full(len(states), 1.0 / len(states))
 
     def terminated(self, states: Array) -> Any:
-        """By the function ``over``."""
+        """Return which states are terminal, by the function ``over``.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, d)
+            The states.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether each state is terminal; none is without ``over``.
+        """
         return (
             super().terminated(states)
             if self._over is None
@@ -423,11 +562,24 @@ class GymnasiumTask(ContinuousTask):
     def play(
         self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None
     ) -> tuple[NDArray[Any], ...]:
-        """Step an environment that was reset as any program would, never setting its
-        state, n times; then close it.
+        """Step a reset environment as any program would, never setting its state.
 
-        Columns: state, action number, next state, reward, whether it is over, and
-        whether the environment cut the episode, which also ends after ``limit`` steps.
+        Parameters
+        ----------
+        env : gymnasium.Env
+            The environment, which was reset and is closed at the end.
+        choose : function
+            Of a state (d,) it gives the number of an action.
+        n : int
+            The number of steps.
+        limit : int, optional
+            The number of steps after which the environment is cut as well.
+
+        Returns
+        -------
+        tuple of ndarray
+            The columns: states, action numbers, next states, rewards, whether the
+            episode ended, and whether the environment cut it.
         """
         rows = []
         inner = env.unwrapped
@@ -446,6 +598,7 @@ class GymnasiumTask(ContinuousTask):
         return tuple(map(np.array, zip(*rows, strict=True)))
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
+        """Return the lower and upper ends of what random actions reach and a tenth more."""
         env.reset(seed=0)
         rng = np.random.default_rng(0)
         limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
@@ -467,10 +620,28 @@ class GymnasiumTask(ContinuousTask):
         max_steps: int,
         seed: Any = None,
     ) -> ContinuousTransitions:
-        """A log of what the environment does, whose state is never set (``play``).
+        """Record a log of what the environment does, whose state is never set.
 
-        ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes
-        are truncated after ``max_steps``, the last one where the log ends.
+        Parameters
+        ----------
+        policy : function
+            The policy: of states (n, d) it gives probabilities (n, A).
+        n_transitions : int
+            The number of transitions; the last episode is truncated where the log ends.
+        max_steps : int
+            The number of steps after which episodes are truncated.
+        seed : int, Generator or SeedSequence, optional
+            The source of random numbers. The same seed gives the same bits.
+
+        Returns
+        -------
+        ContinuousTransitions
+            The log.
+
+        Raises
+        ------
+        ValueError
+            If a number is not a positive integer.
         """
         rows = _checks.positive_integer(n_transitions, "n_transitions")
         steps = _checks.positive_integer(max_steps, "max_steps")
@@ -481,6 +652,7 @@ class GymnasiumTask(ContinuousTask):
         env.unwrapped.reset()
 
         def choose(state: Array) -> int:
+            """Draw an action by the policy, and keep its probability."""
             chances = check_probabilities(policy, state[None], self.n_actions)[0]
             number = int(
                 np.searchsorted(
@@ -498,7 +670,18 @@ class GymnasiumTask(ContinuousTask):
         )
 
     def command(self, number: int) -> Any:
-        """What is passed to the environment's ``step``."""
+        """Return what is passed to the environment's ``step``.
+
+        Parameters
+        ----------
+        number : int
+            The number of an action.
+
+        Returns
+        -------
+        ndarray, int or float
+            The command.
+        """
         command = self.commands[number]
         if command.ndim:
             return command.astype(self._env.action_space.dtype)

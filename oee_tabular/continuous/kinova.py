@@ -1,26 +1,28 @@
-"""The paper's robot, a Kinova Gen3 that moves its hand to five goals (Section VI.D,
-Table I), as a simulated stand-in.
+"""A simulated stand-in for the paper's robot, a Kinova Gen3 that reaches five goals.
 
-**It is not the robot, and its target is not reality**: no data of the arm was ever
-published. ``KinovaArm`` simulates it with MuJoCo (extra ``mujoco``) from the
-manufacturer's published geometry and masses, with assumed servos; the same arm with
-another ``velocity_scale``, latency, payload, friction, gain or encoder noise plays the
-target. Payload, gain and friction change the value by less than 1 %, since the servos
-are stiff and gravity is compensated; what a task of Cartesian commands notices is how
-far a command moves the hand. ``hand_log`` and ``load_kinova_log`` take what a real arm
-would log.
+It is the task of Section VI.D and Table I. **It is not the robot, and its target is not
+reality**: no data of the arm was ever published. ``KinovaArm`` simulates it with MuJoCo
+(extra ``mujoco``) from the manufacturer's published geometry and masses, with assumed
+servos; the same arm with another ``velocity_scale``, latency, payload, friction, gain
+or encoder noise plays the target. Payload, gain and friction change the value by less
+than 1 %, since the servos are stiff and gravity is compensated; what a task of
+Cartesian commands notices is how far a command moves the hand. ``hand_log`` and
+``load_kinova_log`` take what a real arm would log.
 
-    simulator = discretize(KinovaArm(), floor=0.1)                         a FiniteMDP of the hand's position
-    log = record_goals(KinovaArm(velocity_scale=1.4), n_runs=10, seed=0)   50 trajectories of T = 25
+    simulator = discretize(KinovaArm(), floor=0.1)  # a FiniteMDP of the hand's position
+    # 50 trajectories of T = 25
+    log = record_goals(KinovaArm(velocity_scale=1.4), n_runs=10, seed=0)
     counts, uncovered = simulator.supported(simulator.counts(log))
-    zeta = oee_tabular.transition_ratio(counts, simulator.mdp, tie=simulator.displacement_ties(), strength=3.0)
+    tie = simulator.displacement_ties()
+    zeta = oee_tabular.transition_ratio(counts, simulator.mdp, tie=tie, strength=3.0)
 
 Without MuJoCo everything imports; what simulates the arm raises an ImportError that
 names the extra.
 
 ``KinovaHand`` is the arm as a process of its hand's position alone,
 
-    x' = x + D_a(x) + L_a xi,     D_a(x) = B_a (1, z, z z^T),   z = (x - x_home) / reach
+    x' = x + D_a(x) + L_a xi,
+    D_a(x) = B_a (1, z, z z^T),   z = (x - x_home) / reach
 
 The displacement D_a of a command is fitted by least squares to what the arm does from
 states that it visits (its joints as they then are, moving or at rest), under every
@@ -102,18 +104,28 @@ STAND_IN = "simulated stand-in, not a robot"
 
 @dataclass(frozen=True, eq=False)
 class KinovaHand(gen3.HandTask):
-    """The position of the (simulated) arm's hand as a process of its own; made by
-    ``fit_hand``.
+    """The position of the (simulated) arm's hand as a process of its own.
+
+    ``fit_hand`` makes it. The state is the position (x, y, z) in m, the actions are 27
+    commands of 0.2 s, the reward is minus the distance from the goal in m. Episodes do
+    not end.
 
     Attributes
     ----------
-    coefficients : (27, 10, 3) in m, of 1, z and the products of z, for each command
-    scatter : (27, 3, 3) in m, L_a: what the position alone does not tell
-    starts : (n, 3) in m, positions at which episodes begin
-    source : the arm's parameters
-    goal : row of GOALS; r(x) = -|x - goal|
-    noise_points : Gauss-Hermite points of the scatter on a grid
-    name : says that it is a stand-in
+    coefficients : ndarray of shape (27, 10, 3)
+        The coefficients, in m, of 1, z and the products of z for each command.
+    scatter : ndarray of shape (27, 3, 3)
+        L_a of each command, in m: what the position alone does not tell.
+    starts : ndarray of shape (n, 3)
+        Positions in m at which episodes begin.
+    source : dict
+        The arm's parameters.
+    goal : int
+        The goal, a row of GOALS; r(x) = -abs(x - goal).
+    noise_points : int
+        The number of Gauss-Hermite points of the scatter on a grid.
+    name : str
+        A name that says that it is a stand-in.
 
     Examples
     --------
@@ -138,7 +150,26 @@ class KinovaHand(gen3.HandTask):
         object.__setattr__(self, "goal", gen3.goal_number(self.goal))
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One command: O(n)."""
+        """Carry out one command from each state.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 3)
+            The positions in m.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, 3)
+            The disturbance xi, drawn from N(0, I).
+
+        Returns
+        -------
+        Moves
+            The next states and the rewards; no state is terminal.
+
+        Notes
+        -----
+        Costs O(n).
+        """
         chosen = np.asarray(actions, dtype=np.int64)
         shift = np.empty((len(states), 3))
         for a in range(len(COMMANDS)):
@@ -152,8 +183,12 @@ class KinovaHand(gen3.HandTask):
         )
 
     def others(self) -> tuple[KinovaHand, ...]:
-        """Hands that go half and one and a half times as far, with twice the scatter: a
-        target may lie between.
+        """Return hands that go half and one and a half times as far.
+
+        Returns
+        -------
+        tuple of KinovaHand
+            The hands, with twice the scatter: a target may lie between.
         """
         wider = replace(self, scatter=WIDER * self.scatter, noise_points=2)
         sources = [
@@ -166,21 +201,49 @@ class KinovaHand(gen3.HandTask):
         )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """Some of ``starts``."""
+        """Draw some of ``starts``.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, 3)
+            The positions in m.
+        """
         return np.asarray(self.starts[rng.integers(len(self.starts), size=n)])
 
     def initial_points(self) -> tuple[Array, Array]:
-        """``starts``, equally likely."""
+        """Return ``starts``, with equal weights.
+
+        Returns
+        -------
+        states : ndarray of shape (m, 3)
+            The positions in m.
+        weights : ndarray of shape (m,)
+            The weights, which sum to 1.
+        """
         return self.starts, np.full(len(self.starts), 1.0 / len(self.starts))
 
     def parameters(self) -> dict[str, Any]:
-        """Those of the arm that it was fitted to."""
+        """Return the parameters of the arm to which it was fitted, and the goal.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return self.source | {"goal": self.goal}
 
 
 def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
-    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter``
-    steps, without MuJoCo.
+    """Return a hand that every command moves by ``scale`` steps, without MuJoCo.
+
+    Its scatter is ``scatter`` steps.
     """
     coefficients = np.zeros((len(COMMANDS), 10, 3))
     coefficients[:, 0] = (
@@ -197,8 +260,9 @@ def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
 
 
 def basis(states: Array) -> Array:
-    """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed
-    outside of it.
+    """Return 1, z, and the products of z, in units of the workspace, (n, 10).
+
+    They are held fixed outside of it.
     """
     z = np.clip((states - gen3.CENTER) / gen3.REACH, -1.0, 1.0)
     x, y, w = z.T
@@ -209,16 +273,31 @@ def basis(states: Array) -> Array:
 
 @one_thread
 def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
-    """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all
-    27 commands.
+    """Fit D_a and L_a to states that the arm visits, each stepped under all 27 commands.
 
     Parameters
     ----------
-    arm : KinovaArm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a
-        hand that is known
-    n_states : how many states are stepped, at most; 27 n_states commands of the arm,
-        some seconds by default
-    seed : the same seed gives the same bits
+    arm : KinovaArm or KinovaHand
+        The arm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a
+        hand that is known.
+    n_states : int, default 500
+        How many states are stepped, at most.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers, by default 0. The same seed gives the same bits.
+
+    Returns
+    -------
+    KinovaHand
+        The hand as a process of its own.
+
+    Raises
+    ------
+    ValueError
+        If ``n_states`` is not a positive integer.
+
+    Notes
+    -----
+    Costs 27 n_states commands of the arm, some seconds by default.
 
     Examples
     --------
@@ -259,29 +338,48 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
 
 @dataclass(frozen=True)
 class KinovaArm(gen3.HandTask):
-    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's
-    robot.
+    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
 
-        r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
+    A state has 27 coordinates: the measured position of the hand (3, m), joint angles
+    (7, rad), speeds (7, rad/s) and references (7, rad), and the last command (3). Only
+    the position is a feature. The 27 actions are the commands {-1, 0, 1}^3, each for
+    0.2 s, a 1 standing for 0.1 m/s along an axis of the base. The reward of a state is
+
+        r(s) = -|x - goal| in m,
+
+    x the measured position of the hand. Episodes do not end.
 
     Parameters
     ----------
-    goal : 0..4, a row of GOALS
-    velocity_scale : what a commanded speed is multiplied with; 1.4 is the reference
-        mismatch
-    latency : s, in [0, 0.2]: for so long a period begins with the command of the one
-        before
-    payload : kg at the end effector, not compensated
-    friction : N m of dry friction in each joint
-    gain : factor on the servos' stiffness and damping
-    encoder_noise : rad, standard deviation of each joint's reading from which the
-        position is computed
+    goal : int, default 0
+        The goal, 0 to 4, a row of GOALS.
+    velocity_scale : float, default 1.0
+        What a commanded speed is multiplied with; 1.4 is the reference mismatch.
+    latency : float, default 0.0
+        For how many s, in [0, 0.2], a period begins with the command of the one before.
+    payload : float, default 0.0
+        The mass at the end effector in kg, which is not compensated.
+    friction : float, default 0.0
+        The dry friction in each joint in N m.
+    gain : float, default 1.0
+        The factor on the servos' stiffness and damping.
+    encoder_noise : float, default 5e-4
+        The standard deviation in rad of each joint's reading, from which the position
+        is computed.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+
+    See Also
+    --------
+    fit_hand : Make a model of the hand alone.
+    kinova_policy : The controller, mixed with random commands.
 
     Notes
     -----
-    A state has 27 coordinates: the measured position (3), joint angles (7), speeds (7)
-    and references (7), and the last command (3). Only the position is a feature. 40
-    steps of MuJoCo a command: some thousand commands a second.
+    A command costs 40 steps of MuJoCo: some thousand commands a second.
 
     Examples
     --------
@@ -310,7 +408,22 @@ class KinovaArm(gen3.HandTask):
             _checks.number_in(getattr(self, name), name, low, high)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One command from each state: 40 steps of MuJoCo each."""
+        """Carry out one command from each state by 40 steps of MuJoCo each.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 27)
+            The states.
+        actions : ndarray of int, shape (n,)
+            The number of the action in each state.
+        disturbance : ndarray of shape (n, 7)
+            Draws of N(0, I), which ``encoder_noise`` multiplies.
+
+        Returns
+        -------
+        Moves
+            The next states and the rewards; no state is terminal.
+        """
         joints, speeds, reference, before = np.split(states[:, 3:], [7, 14, 21], axis=1)
         command = COMMANDS[np.asarray(actions, dtype=np.int64)]
         late = self.latency / gen3.PERIOD * TICKS
@@ -334,7 +447,20 @@ class KinovaArm(gen3.HandTask):
         )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
+        """Draw states at rest near the home pose.
+
+        Parameters
+        ----------
+        n : int
+            How many states are drawn.
+        rng : numpy.random.Generator
+            The source of random numbers.
+
+        Returns
+        -------
+        ndarray of shape (n, 27)
+            The states, N(0, 0.01^2) rad in each joint from the home pose.
+        """
         joints = HOME + START * rng.standard_normal((n, gen3.N_JOINTS))
         seen = end_effector(
             joints + self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS))
@@ -345,11 +471,23 @@ class KinovaArm(gen3.HandTask):
         )
 
     def on_features(self) -> KinovaHand:
-        """The hand's position as a process of its own."""
+        """Return the hand's position as a process of its own.
+
+        Returns
+        -------
+        KinovaHand
+            The process, fitted to the arm.
+        """
         return fit_hand(self)
 
     def parameters(self) -> dict[str, Any]:
-        """All of them, and that this is no robot."""
+        """Return every parameter by name, and that this is no robot.
+
+        Returns
+        -------
+        dict
+            The parameters.
+        """
         return {"data": STAND_IN} | {
             name: getattr(self, name) for name in ("goal", *LIMITS)
         }
@@ -357,7 +495,7 @@ class KinovaArm(gen3.HandTask):
     def _follow(
         self, joints: Array, speeds: Array, references: Array
     ) -> tuple[Array, Array]:
-        """Angles and speeds after the servos have followed references (n, TICKS, 7)."""
+        """Return angles and speeds after the servos have followed references (n, TICKS, 7)."""
         try:
             import mujoco
         except ImportError:

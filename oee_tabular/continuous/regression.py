@@ -296,9 +296,9 @@ class Fit:
 
 
 class Grams:
-    """Gram matrices (groups, A, q, q) of the columns of all classes and the targets (n, k).
+    """Gram matrices (groups, A, q, q) of all classes' columns and the targets.
 
-    They sum over the rows that are used.
+    The targets are (n, k). The matrices sum over the rows that are used.
     """
 
     def __init__(
@@ -448,7 +448,10 @@ class Grams:
         return errors
 
     def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
-        """Fit the same classes to all groups, or to groups with a bootstrap's weights."""
+        """Fit the same classes to all groups, or to groups with these weights.
+
+        A bootstrap has such weights.
+        """
         gram = (
             self.g.sum(axis=0)
             if weights is None
@@ -467,7 +470,7 @@ class Grams:
 def episode_groups(
     episode: IntArray | None, n: int, width: int, n_actions: int
 ) -> IntArray:
-    """Return the group (n,) of each row, whole episodes or, without these, rows in turn.
+    """Return the group (n,) of each row: whole episodes or else rows in turn.
 
     There are as many groups as the Gram matrices' memory allows, at least 8 and at most
     40, if there are so many episodes.
@@ -563,7 +566,10 @@ class LinearModel(DerivedTask):
         return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
 
     def _fit(self, weights: Array) -> None:
-        """Fit least squares with these weights of the rows, by which residuals are drawn."""
+        """Fit least squares with these weights of the rows.
+
+        Residuals are drawn by the weights.
+        """
         self.coefficients = np.empty(
             (self.n_actions, self._x.shape[1], self._y.shape[1])
         )

@@ -124,7 +124,9 @@ class Rollouts:
     def estimate(
         self, learned: Any, policy: StatePolicy, status: str = "ok"
     ) -> Estimate:
-        """Estimate J in a task learned from the log, with the errors of log and rollouts.
+        """Estimate J in a task learned from the log.
+
+        Its error counts the log and the rollouts.
 
         Parameters
         ----------
@@ -171,7 +173,7 @@ class Rollouts:
             counts = np.zeros(2)
 
             def watch(states: Array) -> Array:
-                """Count the states beyond the log's, and return the policy's probabilities."""
+                """Count the states beyond the log's, and return probabilities."""
                 counts[:] += learned.beyond(states).sum(), len(states)
                 return policy(states)
 
@@ -504,7 +506,7 @@ class OnCells:
         )
 
     def raw(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
-        """Compute the off-environment value on the cells, and the support of its ratio."""
+        """Compute the off-environment value on the cells, and its ratio's support."""
         found = OffEnvironment(self._zeta)(self.problem, policy, seed=seed)
         missing = missing_support(*self._support.values())
         return replace(

@@ -95,9 +95,9 @@ class Stops:
     def free(
         self, task: ContinuousTask, states: Array, actions: IntArray, own: Array
     ) -> Array:
-        """Return the simulator's next states ``own`` without its stops, f(s - b) + b, (n, d).
+        """Return the simulator's next states ``own`` without its stops, (n, d).
 
-        b is as short as is free of them.
+        They are f(s - b) + b; b is as short as is free of the stops.
         """
         if np.isinf(self.own).all():
             return own
@@ -152,7 +152,10 @@ class Stops:
 
 
 def _side(stops: Array, values: Array) -> IntArray:
-    """Return -1 at or below the lower stop, 1 at or above the upper, 0 between, (n, d)."""
+    """Return the side (n, d) of the stops on which values lie.
+
+    It is -1 at or below the lower stop, 1 at or above the upper, 0 between.
+    """
     return np.asarray((values >= stops[1]).astype(np.int64) - (values <= stops[0]))
 
 
