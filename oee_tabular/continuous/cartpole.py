@@ -137,8 +137,10 @@ class CartPole(ContinuousTask):
         Moves
             The next states, rewards of 1, and whether the next states are terminal.
 
-        Notes ----- Products and sums stand in the order of Gymnasium's own, so that
-        they agree to the last bit.
+        Notes
+        -----
+        Products and sums stand in the order of Gymnasium's own, so that they agree to
+        the last bit.
         """
         force = self.actions[np.asarray(actions, dtype=np.int64)]
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
@@ -364,8 +366,10 @@ def train_expert(
     ValueError
         If a number is not a positive integer, or ``elite`` is above ``population``.
 
-    Notes ----- Costs iterations * population * episodes * horizon steps: a tenth of a
-    second by default.
+    Notes
+    -----
+    Costs iterations * population * episodes * horizon steps: a tenth of a second by
+    default.
 
     Examples
     --------

@@ -113,8 +113,10 @@ class GridInterpolation:
     --------
     VisitedCells : Cells for four features and more.
 
-    Notes ----- Costs A S 2^k entries for each noise point: 10^6 vertices with two
-    actions in a few seconds and under a gigabyte.
+    Notes
+    -----
+    Costs A S 2^k entries for each noise point: 10^6 vertices with two actions in a few
+    seconds and under a gigabyte.
 
     Examples
     --------
@@ -256,8 +258,10 @@ class VisitedCells:
     --------
     GridInterpolation : A regular grid, for up to three features.
 
-    Notes ----- The same log, policies and seed give the same cells. Costs 3 (n +
-    n_simulated) + A n_stepped nearest-cell searches, for each task.
+    Notes
+    -----
+    The same log, policies and seed give the same cells. Costs 3 (n + n_simulated) + A
+    n_stepped nearest-cell searches, for each task.
 
     Examples
     --------
@@ -487,10 +491,12 @@ def discretize(
     --------
     corrected_value : A value without cells.
 
-    Notes ----- A floor makes a *defensive* simulator, which gives probability to what
-    the target may do. It is another simulator: results made with it say so
-    (``metadata``), and ``plain`` is the one without. A ratio is at most K / floor
-    wherever the target lies in the convex hull of the K others.
+    Notes
+    -----
+    A floor makes a *defensive* simulator, which gives probability to what the target
+    may do. It is another simulator: results made with it say so (``metadata``), and
+    ``plain`` is the one without. A ratio is at most K / floor wherever the target lies
+    in the convex hull of the K others.
 
     Examples
     --------

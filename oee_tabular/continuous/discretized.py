@@ -190,8 +190,10 @@ class Discretization:
         standard_error : float
             Its standard error, by Monte Carlo.
 
-        Notes ----- The scale is abs(J in the task), or the standard deviation of a
-        return if that is larger (for returns that change sign).
+        Notes
+        -----
+        The scale is abs(J in the task), or the standard deviation of a return if that
+        is larger (for returns that change sign).
         """
         # what it compiles with is imported only here
         from oee_tabular.exact import policy_value
@@ -284,10 +286,12 @@ class Discretization:
         ValueError
             If none of the simulators allows a transition of the counts.
 
-        Notes ----- The risk is -sum_x n_x log sum_k w_k P_k(x); the mixture is zeta
-        within the simulators' hull. It is convex in w, and each step of EM decreases
-        it. A simulator with the target's parameters is found where the log is long:
-        this is system identification, stated as a ratio.
+        Notes
+        -----
+        The risk is -sum_x n_x log sum_k w_k P_k(x); the mixture is zeta within the
+        simulators' hull. It is convex in w, and each step of EM decreases it. A
+        simulator with the target's parameters is found where the log is long: this is
+        system identification, stated as a ratio.
         """
         entries = counts.tocoo()
         table = np.stack(
@@ -423,8 +427,10 @@ class Discretization:
         ValueError
             As in ``encode``.
 
-        Notes ----- They are the mean of ``encode(...).counts(...)`` over draws, without
-        their noise. On a grid, where a command moves the features alike everywhere, a
+        Notes
+        -----
+        They are the mean of ``encode(...).counts(...)`` over draws, without their
+        noise. On a grid, where a command moves the features alike everywhere, a
         transition is carried to the vertex i of its box, and spread as the simulator's
         rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
@@ -480,8 +486,10 @@ class Discretization:
         ValueError
             If the cells are no grid, or episodes can end.
 
-        Notes ----- The displacement is how many cells along each axis a transition
-        leads. It serves tasks whose commands move the features alike everywhere.
+        Notes
+        -----
+        The displacement is how many cells along each axis a transition leads. It serves
+        tasks whose commands move the features alike everywhere.
         """
         grid = self.cells
         matrix = self.mdp.transitions

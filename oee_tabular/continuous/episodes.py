@@ -109,8 +109,10 @@ def monte_carlo_value(
     corrected_value : The value in a simulator that a log corrects.
     policy_value : The exact value in a finite MDP.
 
-    Notes ----- It is the truth that discretised values are held to. Costs O(n_episodes
-    * horizon) vectorised steps, from which terminal episodes are left out.
+    Notes
+    -----
+    It is the truth that discretised values are held to. Costs O(n_episodes * horizon)
+    vectorised steps, from which terminal episodes are left out.
 
     Examples
     --------

@@ -158,14 +158,15 @@ def evaluate_continuous(
     evaluate : The same for finite problems.
     corrected_value : The value of one policy in a corrected simulator.
 
-    Notes ----- In front stands the value of the corrected simulator
-    (``choose_correction``) by Monte Carlo, or, where no correction can be trusted, the
-    simulator's. The row "oee (residual)" is there where oee is asked for; with
-    ``settings.grid`` also "oee (calibrated)" and, last, "oee on the grid", which has
-    the grid's error; "linear model of the log" where ``estimators`` is None; "simulator
-    (continuous)" (Monte Carlo) always. ``facts`` has the support diagnostics and the
-    closure error. Where the cells cannot take the log, their rows are left out with a
-    sentence.
+    Notes
+    -----
+    In front stands the value of the corrected simulator (``choose_correction``) by
+    Monte Carlo, or, where no correction can be trusted, the simulator's. The row "oee
+    (residual)" is there where oee is asked for; with ``settings.grid`` also "oee
+    (calibrated)" and, last, "oee on the grid", which has the grid's error; "linear
+    model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
+    Carlo) always. ``facts`` has the support diagnostics and the closure error. Where
+    the cells cannot take the log, their rows are left out with a sentence.
 
     Examples
     --------

@@ -70,7 +70,7 @@ def _chain() -> tuple[Array, Array]:
 
 
 def _frames(joints: Array) -> tuple[Array, Array, Array]:
-    """Compute joint origins (n, 7, 3), joint axes (n, 7, 3) and the end effector (n, 3)."""
+    """Compute joint origins and axes, (n, 7, 3) each, and the end effector (n, 3)."""
     offsets, turns = _chain()
     n = len(joints)
     place = np.zeros((n, 3))
@@ -114,10 +114,10 @@ def end_effector(joints: Array) -> Array:
 
 
 def resolved_rates(joints: Array, velocity: Array) -> Array:
-    """Compute joint speeds (n, 7) in rad/s that move the end effector without turning it.
+    """Compute joint speeds (n, 7) in rad/s by which the end effector does not turn.
 
-    It has the ``velocity`` (n, 3) in m/s. Damped least squares on the 6-row Jacobian;
-    costs O(n).
+    It moves with the ``velocity`` (n, 3) in m/s. The speeds are damped least squares on
+    the 6-row Jacobian; they cost O(n).
     """
     origins, axes, place = _frames(joints)
     linear = np.cross(axes, place[:, None, :] - origins)

@@ -164,7 +164,7 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
 
 
 def is_continuous_id(spec: str) -> bool:
-    """Return whether ``spec`` begins with the id of an environment of continuous states.
+    """Return whether ``spec`` begins with the id of a continuous environment.
 
     Its observations are then no numbers of states.
     """
@@ -247,7 +247,10 @@ def _find_state(env: Any, identifier: str) -> dict[str, Any]:
 
 
 def _describe_mujoco(model: Any) -> dict[str, Any]:
-    """Return how a state (qpos, qvel) is read and set; hinges without a range are angles."""
+    """Return how a state (qpos, qvel) of MuJoCo is read and set.
+
+    Hinges without a range are angles.
+    """
     nq = int(model.nq)
     names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(
         f"qvel_{i}" for i in range(int(model.nv))
@@ -277,7 +280,7 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
 
 
 def action_set(space: Any, given: Any = None) -> Array:
-    """Return the actions: numbers (A,) of a Discrete space, or commands (A, k) of a Box.
+    """Return numbers (A,) of a Discrete space, or commands (A, k) of a Box.
 
     Parameters
     ----------
@@ -421,7 +424,7 @@ class Physics:
                 )
 
             def hold(env: object, name: str, value: object) -> None:
-                """Set an attribute, of a constant always to the number that was given."""
+                """Set an attribute, a given constant always to its given number."""
                 object.__setattr__(env, name, self._constants.get(name, value))
 
             members = self._constants | {

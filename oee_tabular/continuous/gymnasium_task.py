@@ -47,7 +47,10 @@ def read_state(env: Any) -> Array:
 
 
 def write_state(env: Any, state: Array) -> None:
-    """Put these numbers into ``env.unwrapped.state``, as if no episode had ended there."""
+    """Put these numbers into ``env.unwrapped.state``.
+
+    The environment is then as if no episode had ended there.
+    """
     inner = env.unwrapped
     inner.state = np.array(state)
     if hasattr(inner, "steps_beyond_terminated"):
@@ -282,7 +285,7 @@ class GymnasiumTask(ContinuousTask):
         states: Array,
         numbers: IntArray,
     ) -> bool:
-        """Return whether this way of stepping many states does as the environment does."""
+        """Return whether this way of stepping does as the environment does."""
         one = self.one_by_one(states, numbers, np.random.default_rng(0))
         try:
             with warnings.catch_warnings(action="ignore"):
@@ -598,7 +601,7 @@ class GymnasiumTask(ContinuousTask):
         return tuple(map(np.array, zip(*rows, strict=True)))
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
-        """Return the lower and upper ends of what random actions reach and a tenth more."""
+        """Return the ends of what random actions reach and a tenth more."""
         env.reset(seed=0)
         rng = np.random.default_rng(0)
         limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)

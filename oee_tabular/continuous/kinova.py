@@ -273,7 +273,7 @@ def basis(states: Array) -> Array:
 
 @one_thread
 def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
-    """Fit D_a and L_a to states that the arm visits, each stepped under all 27 commands.
+    """Fit D_a and L_a to states of the arm, each stepped under all 27 commands.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
 
 @dataclass(frozen=True)
 class KinovaArm(gen3.HandTask):
-    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
+    """The simulated Gen3 that moves its hand to a goal, in place of the real robot.
 
     A state has 27 coordinates: the measured position of the hand (3, m), joint angles
     (7, rad), speeds (7, rad/s) and references (7, rad), and the last command (3). Only
@@ -495,7 +495,10 @@ class KinovaArm(gen3.HandTask):
     def _follow(
         self, joints: Array, speeds: Array, references: Array
     ) -> tuple[Array, Array]:
-        """Return angles and speeds after the servos have followed references (n, TICKS, 7)."""
+        """Return angles and speeds after the servos have followed the references.
+
+        These are (n, TICKS, 7).
+        """
         try:
             import mujoco
         except ImportError:

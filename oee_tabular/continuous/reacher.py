@@ -141,10 +141,12 @@ class Reacher(ContinuousTask):
     reacher_policy : The expert, mixed with the uniform policy.
     reacher_log : Record the paper's data.
 
-    Notes ----- A step is deterministic and costs O(n substeps). Episodes begin at rest,
-    q1 uniform in [-3.14, 3.14] and q2 in [-1.57, 1.57]. Features are (cos q1, sin q1,
-    q2, w1, w2). The arm was checked against MuJoCo, which knows no drag, with
-    ``inertia="capsule"``: see tests/continuous/test_tasks.py.
+    Notes
+    -----
+    A step is deterministic and costs O(n substeps). Episodes begin at rest, q1 uniform
+    in [-3.14, 3.14] and q2 in [-1.57, 1.57]. Features are (cos q1, sin q1, q2, w1, w2).
+    The arm was checked against MuJoCo, which knows no drag, with ``inertia="capsule"``:
+    see tests/continuous/test_tasks.py.
 
     Examples
     --------

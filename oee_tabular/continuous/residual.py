@@ -559,8 +559,10 @@ class ResidualSimulator(DerivedTask):
         Moves
             The next states, the rewards, and whether the next states are terminal.
 
-        Notes ----- What chooses e is a stream of its own, so that ``rng`` gives the
-        same numbers that it gives to the task.
+        Notes
+        -----
+        What chooses e is a stream of its own, so that ``rng`` gives the same numbers
+        that it gives to the task.
         """
         xi = rng.standard_normal((len(states), self.task.n_disturbances))
         if self._scatter.drawn.any():

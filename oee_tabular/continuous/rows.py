@@ -255,9 +255,11 @@ def corrected_value(
     --------
     monte_carlo_value : The value in a task, without the error of a log.
 
-    Notes ----- Costs (n_episodes + (refits + 1) paths) horizon steps of the corrected
-    simulator. The interval is that of Student's t. It covers the variation between
-    logs, not a change that no smooth correction fits.
+    Notes
+    -----
+    Costs (n_episodes + (refits + 1) paths) horizon steps of the corrected simulator.
+    The interval is that of Student's t. It covers the variation between logs, not a
+    change that no smooth correction fits.
 
     Examples
     --------

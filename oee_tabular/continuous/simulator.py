@@ -224,8 +224,10 @@ class ContinuousSimulator:
         ValueError
             If the specification names no policy of the task.
 
-        Notes ----- A function of one's own takes states (n, d) and gives probabilities
-        (n, A), action numbers (n,) or commands (n, k); see ``as_probabilities``.
+        Notes
+        -----
+        A function of one's own takes states (n, d) and gives probabilities (n, A),
+        action numbers (n,) or commands (n, k); see ``as_probabilities``.
         """
         expert = self.expert
         if spec == "uniform":

@@ -95,8 +95,10 @@ class ContinuousTask(ABC):
     GymnasiumTask : A Gymnasium environment as such a task.
     discretize : Make a finite MDP of a task.
 
-    Notes ----- A reward is 0 after termination. A time limit is not part of a task: it
-    is the horizon of an evaluation.
+    Notes
+    -----
+    A reward is 0 after termination. A time limit is not part of a task: it is the
+    horizon of an evaluation.
 
     Examples
     --------
@@ -194,8 +196,10 @@ class ContinuousTask(ABC):
         ndarray of bool, shape (n,)
             Whether the features alone show that the state is terminal.
 
-        Notes ----- Where features leave out what ended an episode, the discretised
-        process goes on: it treats such an end as a truncation.
+        Notes
+        -----
+        Where features leave out what ended an episode, the discretised process goes on:
+        it treats such an end as a truncation.
         """
         return np.ones(len(states), dtype=np.bool_)
 
@@ -300,8 +304,10 @@ class ContinuousTask(ABC):
         ndarray of shape (n, m) or None
             The terms; None, the default, where there are none.
 
-        Notes ----- With ``reward_of`` they make a reward that telescopes telescope on
-        cells as well. They are for tasks whose episodes do not end.
+        Notes
+        -----
+        With ``reward_of`` they make a reward that telescopes telescope on cells as
+        well. They are for tasks whose episodes do not end.
         """
         return None
 
@@ -461,6 +467,7 @@ class DerivedTask(ContinuousTask):
         """Return the other task's method; its arguments at these places are states."""
 
         def call(self: DerivedTask, *arguments: Any) -> Any:
+            """Call the other task's method with its own states."""
             return getattr(self.task, method)(
                 *(self.own(x) if k in at else x for k, x in enumerate(arguments))
             )
