@@ -31,7 +31,7 @@ optimization, 1999.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,18 +39,16 @@ from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular.continuous.task import ContinuousTask, Moves
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
-ANGLE_LIMIT = 12 * 2 * np.pi / 360
-X_LIMIT = 2.4
-START = 0.05
-# N, s
-FORCE = 10.0
-TAU = 0.02
-# kg, m, kg
-POLE_MASS = 0.1
-HALF_LENGTH = 0.5
-TOTAL_MASS = 0.1 + 1.0
+ANGLE_LIMIT = 12 * 2 * np.pi / 360  # rad
+X_LIMIT = 2.4  # m
+START = 0.05  # the largest absolute value of each coordinate of an initial state
+FORCE = 10.0  # N
+TAU = 0.02  # s
+POLE_MASS = 0.1  # kg
+HALF_LENGTH = 0.5  # m
+TOTAL_MASS = 0.1 + 1.0  # kg
 PAPER_NOISE = 1e-4
 # theta in units of its limit, theta' in rad/s, the constant
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])
@@ -103,7 +101,7 @@ class CartPole(ContinuousTask):
 
     gravity: float = 10.0
     noise: float = PAPER_NOISE
-    form: str = "angle"
+    form: Literal["angle", "full"] = "angle"
     name: str = field(default="CartPole", init=False)
 
     def __post_init__(self) -> None:
@@ -116,9 +114,8 @@ class CartPole(ContinuousTask):
         object.__setattr__(self, "feature_low", freeze(-high[used]))
         object.__setattr__(self, "feature_high", freeze(high[used]))
         object.__setattr__(self, "periodic", (False,) * len(high[used]))
-        object.__setattr__(
-            self, "default_cells", (32, 32) if self.form == "angle" else 1000
-        )
+        default_cells = (32, 32) if self.form == "angle" else 1000
+        object.__setattr__(self, "default_cells", default_cells)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """Take one step of 0.02 s from each state.
@@ -146,9 +143,8 @@ class CartPole(ContinuousTask):
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
         cosine = np.cos(theta)
         sine = np.sin(theta)
-        temp = (
-            force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine
-        ) / TOTAL_MASS
+        push = force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine
+        temp = push / TOTAL_MASS
         inertia = HALF_LENGTH * (4.0 / 3.0 - POLE_MASS * np.square(cosine) / TOTAL_MASS)
         theta_acc = (self.gravity * sine - cosine * temp) / inertia
         x_acc = temp - POLE_MASS * HALF_LENGTH * theta_acc * cosine / TOTAL_MASS
@@ -192,9 +188,8 @@ class CartPole(ContinuousTask):
         k = len(self.feature_names)
         n = 64 if self.form == "angle" else 12
         line = START * ((2.0 * np.arange(n) + 1.0) / n - 1.0)
-        points = self.embed(
-            np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k)
-        )
+        lattice = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1)
+        points = self.embed(lattice.reshape(-1, k))
         return points, np.full(len(points), 1.0 / len(points))
 
     def terminated(self, states: Array) -> BoolArray:
@@ -210,9 +205,8 @@ class CartPole(ContinuousTask):
         ndarray of bool, shape (n,)
             Whether each state is terminal.
         """
-        return np.asarray(
-            (np.abs(states[:, 0]) > X_LIMIT) | (np.abs(states[:, 2]) > ANGLE_LIMIT)
-        )
+        is_off_track = np.abs(states[:, 0]) > X_LIMIT
+        return np.asarray(is_off_track | (np.abs(states[:, 2]) > ANGLE_LIMIT))
 
     def end_shows(self, states: Array) -> BoolArray:
         """Return which ends show in the features; those of the track do not.
@@ -312,11 +306,10 @@ class CartPolePolicy:
             + self.weights[1] * states[:, 3]
             + self.weights[2]
         )
-        right = (
-            (lean > 0).astype(np.float64)
-            if self.deterministic
-            else 1.0 / (1.0 + np.exp(-lean))
-        )
+        if self.deterministic:
+            right = (lean > 0).astype(np.float64)
+        else:
+            right = 1.0 / (1.0 + np.exp(-lean))
         right = 0.5 * self.delta + (1.0 - self.delta) * right
         return np.stack([1.0 - right, right], axis=1)
 
@@ -326,7 +319,7 @@ cartpole_policy = CartPolePolicy
 
 def train_expert(
     *,
-    seed: Any = EXPERT_SEED,
+    seed: Seed = EXPERT_SEED,
     iterations: int = 2,
     population: int = 64,
     elite: int = 8,
@@ -394,9 +387,8 @@ def train_expert(
     deviation = np.full(3, SPREAD)
     for _ in range(iterations):
         candidates = mean + deviation * rng.standard_normal((population, 3))
-        steps = _lengths(
-            simulator, np.repeat(candidates / SCALE, episodes, axis=0), horizon, rng
-        )
+        weights = np.repeat(candidates / SCALE, episodes, axis=0)
+        steps = _lengths(simulator, weights, horizon, rng)
         scores = steps.reshape(-1, episodes).mean(axis=1)
         best = candidates[np.argsort(-scores, kind="stable")[:elite]]
         mean = best.mean(axis=0)
@@ -415,9 +407,9 @@ def _lengths(
     for _ in range(horizon):
         w = weights[alive]
         lean = w[:, 0] * states[:, 2] + w[:, 1] * states[:, 3] + w[:, 2]
-        right = (
-            rng.random(len(alive)) * (1.0 + np.exp(-np.clip(lean, -500.0, 500.0))) < 1.0
-        )
+        # u < 1 / (1 + e^-lean), without a division; clipped so that exp is finite
+        odds = 1.0 + np.exp(-np.clip(lean, -500.0, 500.0))
+        right = rng.random(len(alive)) * odds < 1.0
         moved = task.step(states, right.astype(np.int64), rng)
         lengths[alive] += 1.0
         alive = alive[~moved.terminated]

@@ -23,12 +23,12 @@ from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sum
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 PLACES_AT_A_TIME = 250_000  # bounds the memory
 
 
-def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
+def indicator(numbers: IntArray, n: int) -> Csr:
     """Return rows (len(numbers), n) with a 1 in the column of their number."""
     size = len(numbers)
     return sparse.csr_array(
@@ -68,7 +68,7 @@ class Grid:
         """Return where the vertices lie, (n_cells, k)."""
         return np.asarray(self.low + self.indices() * self.spacing)
 
-    def weights(self, features: Array) -> sparse.csr_array:
+    def weights(self, features: Array) -> Csr:
         """Compute multilinear weights (n, n_cells) on the vertices around each point.
 
         There are 2^k of these. Points outside go to the nearest inside.
@@ -77,9 +77,8 @@ class Grid:
         shape = np.array(self.shape)
         place = (features - self.low) / self.spacing
         place = np.where(self.periodic, place % shape, np.clip(place, 0.0, shape - 1.0))
-        corner = np.minimum(
-            place.astype(np.int64), shape - np.where(self.periodic, 1, 2)
-        )
+        last = shape - np.where(self.periodic, 1, 2)
+        corner = np.minimum(place.astype(np.int64), last)
         fraction = place - corner
         numbers = np.zeros((n, 1), dtype=np.int64)
         weights = np.ones((n, 1))
@@ -89,9 +88,8 @@ class Grid:
             numbers = (size * numbers[:, :, None] + both[:, None]).reshape(n, -1)
             weights = (weights[:, :, None] * share[:, None]).reshape(n, -1)
         parts = weights.ravel(), numbers.ravel(), np.arange(n + 1) * weights.shape[1]
-        return canonical(
-            sparse.csr_array(parts, shape=(n, self.n_cells)), drop_zeros=True
-        )
+        matrix = sparse.csr_array(parts, shape=(n, self.n_cells))
+        return canonical(matrix, drop_zeros=True)
 
     def outside(self, features: Array) -> BoolArray:
         """Return which points (n,) lie beyond the faces."""
@@ -133,7 +131,7 @@ class VoronoiCells:
         distance, number = self._tree.query(features / self.scale)
         return np.asarray(number, dtype=np.int64), np.asarray(distance)
 
-    def weights(self, features: Array) -> sparse.csr_array:
+    def weights(self, features: Array) -> Csr:
         """Return weights (n, n_cells), 1 in the point's cell."""
         return indicator(self.nearest(features)[0], self.n_cells)
 
@@ -175,10 +173,10 @@ class Places:
         points. None means no draws.
     """
 
-    cells: Any
+    cells: Grid | VoronoiCells
     states: Array
     actions: IntArray
-    averages: sparse.csr_array | None
+    averages: Csr | None
     points: Array
     point_cell: IntArray
     noise_points: int | None = None
@@ -189,9 +187,7 @@ class Places:
         matrix = indicator(self.point_cell, self.cells.n_cells)
         return np.asarray(((matrix.T @ values).T / matrix.sum(axis=0)).T)
 
-    def weights(
-        self, task: ContinuousTask, states: Array, ended: BoolArray
-    ) -> sparse.csr_array:
+    def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> Csr:
         """Compute how states are shared out among the numbered ones, (n, S).
 
         Terminal states lie in the absorbing state, the last.
@@ -209,30 +205,29 @@ class Places:
         """Return the FiniteMDP of a task that is stepped at these places."""
         rng = None if self.seed is None else np.random.default_rng(self.seed)
         parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
-        blocks = [
-            self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts
-        ]
-        matrix = sparse.csr_array(
-            sparse.vstack([block for block, _ in blocks], format="csr")
-        )
-        paid = np.concatenate([rewards for _, rewards in blocks])
+        blocks = []
+        for low in parts:
+            part = slice(low, low + PLACES_AT_A_TIME)
+            blocks.append(self._step(task, part, rng))
+        stacked = sparse.vstack([block for block, _ in blocks], format="csr")
+        matrix = sparse.csr_array(stacked)
+        rewards = np.concatenate([part for _, part in blocks])
         if self.averages is not None:
             matrix = sparse.csr_array(self.averages @ matrix)
-            paid = np.asarray(self.averages @ paid)
-        paid = paid.reshape(-1, task.n_actions)
+            rewards = np.asarray(self.averages @ rewards)
+        rewards = rewards.reshape(-1, task.n_actions)
         if task.terminates:
-            stay = indicator(
-                np.full(task.n_actions, matrix.shape[1] - 1), matrix.shape[1]
-            )
+            n_states = matrix.shape[1]
+            stay = indicator(np.full(task.n_actions, n_states - 1), n_states)
             matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
-            paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
-        return self.finite_mdp(task, matrix, paid, initial, discount)
+            rewards = np.concatenate([rewards, np.zeros((1, task.n_actions))])
+        return self.finite_mdp(task, matrix, rewards, initial, discount)
 
     def finite_mdp(
         self,
         task: ContinuousTask,
-        matrix: Any,
-        paid: Array,
+        matrix: Csr,
+        expected: Array,
         initial: Array,
         discount: float,
     ) -> FiniteMDP:
@@ -244,7 +239,7 @@ class Places:
         """
         matrix = canonical(matrix, drop_zeros=True)
         rows = row_of_entry(matrix)
-        rewards = paid
+        rewards: Array | Csr = expected
         matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
         terms = task.reward_terms(self.points)
         if terms is not None:
@@ -252,17 +247,16 @@ class Places:
             state, action = np.divmod(rows, task.n_actions)
             between = task.reward_of(mean[state], action, mean[matrix.indices])
             first = between[matrix.indptr[:-1]]
-            is_of_pair = np.array_equal(between, first[rows])
-            rewards = (
-                first.reshape(paid.shape)
-                if is_of_pair
-                else csr_on_pattern(matrix, between)
-            )
+            # rewards r(s, a) stay a small table
+            if np.array_equal(between, first[rows]):
+                rewards = first.reshape(expected.shape)
+            else:
+                rewards = csr_on_pattern(matrix, between)
         return FiniteMDP(matrix, rewards, initial, discount)
 
     def _step(
         self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
-    ) -> tuple[sparse.csr_array, Array]:
+    ) -> tuple[Csr, Array]:
         """Compute where some of the pairs lead and their rewards.
 
         Both are averages over the disturbances.
@@ -270,17 +264,17 @@ class Places:
         states = self.states[part]
         actions = self.actions[part]
         if rng is None:
-            points = (
-                task.noise_points if self.noise_points is None else self.noise_points
-            )
-            nodes, chances = gauss_hermite(points, task.n_disturbances)
+            n_points = self.noise_points
+            if n_points is None:
+                n_points = task.noise_points
+            nodes, chances = gauss_hermite(n_points, task.n_disturbances)
             draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
         else:
             draws = [rng.standard_normal((len(states), task.n_disturbances))]
             chances = np.ones(1)
         gone = task.terminated(states)
-        total = 0.0
-        paid = np.zeros(len(states))
+        total: Any = 0.0
+        rewards = np.zeros(len(states))
         for disturbance, chance in zip(draws, chances, strict=True):
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
@@ -292,9 +286,10 @@ class Places:
                     f" {moved.next_state[bad[0]].tolist()}",
                 )
             ended = moved.terminated & task.end_shows(moved.next_state) | gone
-            total = total + chance * self.weights(task, moved.next_state, ended)
-            paid += chance * np.where(gone, 0.0, moved.reward)
-        return sparse.csr_array(total), paid
+            arrival = chance * self.weights(task, moved.next_state, ended)
+            total = total + arrival
+            rewards += chance * np.where(gone, 0.0, moved.reward)
+        return sparse.csr_array(total), rewards
 
 
 def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
@@ -306,13 +301,10 @@ def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
     >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
     (3.0, 9)
     """
-    line, chance = np.polynomial.hermite_e.hermegauss(
-        _checks.positive_integer(points, "noise_points")
-    )
-    nodes, weights = (
-        np.array(list(itertools.product(x, repeat=n)))
-        for x in (line, chance / chance.sum())
-    )
+    n_points = _checks.positive_integer(points, "noise_points")
+    line, chance = np.polynomial.hermite_e.hermegauss(n_points)
+    nodes = np.array(list(itertools.product(line, repeat=n)))
+    weights = np.array(list(itertools.product(chance / chance.sum(), repeat=n)))
     return nodes, weights.prod(axis=1)
 
 
@@ -323,22 +315,17 @@ def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
     )
 
 
-def spread_over_pairs(
-    start: sparse.csr_array, actions: IntArray, n_actions: int
-) -> sparse.csr_array:
+def spread_over_pairs(start: Csr, actions: IntArray, n_actions: int) -> Csr:
     """Return the weights (n, S) of states as weights (n, S * A) of state-action pairs.
 
     The states are left by actions (n,); the pair (s, a) has the column s*A + a.
     """
-    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(
-        actions, np.diff(start.indptr)
-    )
-    return sparse.csr_array(
-        (start.data, pairs, start.indptr),
-        shape=(len(actions), start.shape[1] * n_actions),
-    )
+    action_of_entry = np.repeat(actions, np.diff(start.indptr))
+    pairs = start.indices.astype(np.int64) * n_actions + action_of_entry
+    shape = (len(actions), start.shape[1] * n_actions)
+    return sparse.csr_array((start.data, pairs, start.indptr), shape=shape)
 
 
-def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
+def average_of_pairs(weights: Csr) -> Csr:
     """Return W (S * A, m) of the weights (m, S * A) that stepped pairs have."""
     return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)

@@ -12,9 +12,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,12 +23,13 @@ from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.simulator import ContinuousSimulator, GridLike
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
+    from oee_tabular.typing import RealArrayLike
 
-MAX_COMMANDS = 100  # of a log, which are then the actions of a Gymnasium environment
-KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
+MAX_COMMANDS = 100  # different commands of a log, which are then the actions of a Gymnasium environment
+N_KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
 TASK_OPTIONS = (
     "outside",
     "strict",
@@ -95,7 +95,9 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
     )
 
 
-def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
+def kinova(
+    *, form: Literal["arm", "hand"] = "arm", **parameters: Any
+) -> ContinuousSimulator:
     """Make the simulated stand-in for the Gen3 that moves its hand to a goal.
 
     It is not the robot. MuJoCo is needed. Parameters are those of
@@ -119,7 +121,7 @@ def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
         floor=0.1,
         ratio={"strength": 3.0},
         calibration="difference",
-        episodes=KINOVA_RUNS if form == "arm" else 10_000,
+        episodes=N_KINOVA_RUNS if form == "arm" else 10_000,
     )
 
 
@@ -143,7 +145,7 @@ def is_continuous(spec: str | None) -> bool:
 
 
 def continuous_simulator(
-    spec: str, *, state: str | None = None, actions: object = None
+    spec: str, *, state: str | None = None, actions: RealArrayLike | None = None
 ) -> ContinuousSimulator:
     """Make the continuous simulator that ``spec`` names.
 
@@ -187,9 +189,10 @@ def continuous_simulator(
         return gymnasium_simulator(spec, state=state, actions=actions)
     for option, given in (("state", state), ("actions", actions)):
         if given is not None:
-            raise ValueError(
-                f"--task-option {option} must be left out for {name}, which is no"
-                f" Gymnasium environment; it is {given!r}"
+            raise ArgumentError(
+                f"--task-option {option}",
+                f"must be left out for {name}, which is no Gymnasium environment; it is"
+                f" {given!r}",
             )
     _, keywords = parse_spec(spec)
     make = CONTINUOUS[name]
@@ -219,26 +222,27 @@ def task_options(
         _checks.positive_integer(options["simulations"], "--task-option simulations")
     actions = options.get("actions", 1)
     if isinstance(actions, bool) or not isinstance(actions, int | list | tuple):
-        raise ValueError(
-            "--task-option actions must be a number of levels (9), levels (-2,0,2) or"
-            f" commands ([[-1,0],[1,0]]); got {actions!r}"
+        raise ArgumentError(
+            "--task-option actions",
+            "must be a number of levels (9), levels (-2,0,2) or commands"
+            f" ([[-1,0],[1,0]]); got {actions!r}",
         )
     return options
 
 
-def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
+def read_grid(text: str | None) -> GridLike | None:
     """Read where ``--grid`` puts the states.
 
     It is 60x60 vertices, 3000 visited cells, or "auto", the task's own.
     """
+    if text is None:
+        return None
+    if text == "auto":
+        return "auto"
     try:
-        if text is None or text == "auto":
-            return text
-        return (
-            int(text)
-            if text.isdigit()
-            else tuple(int(part) for part in text.lower().split("x"))
-        )
+        if text.isdigit():
+            return int(text)
+        return tuple(int(part) for part in text.lower().split("x"))
     except ValueError:
         raise ArgumentError(
             "--grid", f"must be like 32x32, 3000 or auto; got {text!r}"
@@ -252,7 +256,7 @@ def evaluate_files(
     behavior: str | None,
     target: str | None,
     options: dict[str, Any],
-    grid: tuple[int, ...] | int | str | None = None,
+    grid: GridLike | None = None,
     **common: Any,
 ) -> Report:
     """Evaluate policies by a continuous simulator and a log of continuous states.
@@ -273,15 +277,12 @@ def evaluate_files(
         commands = np.unique(recorded.action, axis=0)
         actions = commands.tolist() if len(commands) <= MAX_COMMANDS else None
     simulator = continuous_simulator(spec, state=state, actions=actions)
-    if (
-        is_gymnasium
-        and actions is None
-        and simulator.task.actions.ndim == 2
-        and recorded.action.ndim == 1
-    ):
-        raise ValueError(
-            f"--task-option actions must be given for {simulator.task.name}, whose"
-            " actions are commands: the log has their numbers alone"
+    has_only_numbers = simulator.task.actions.ndim == 2 and recorded.action.ndim == 1
+    if is_gymnasium and actions is None and has_only_numbers:
+        raise ArgumentError(
+            "--task-option actions",
+            f"must be given for {simulator.task.name}, whose actions are commands: the"
+            " log has their numbers alone",
         )
     if target is not None and not is_continuous(target):
         raise ArgumentError(
@@ -295,36 +296,25 @@ def evaluate_files(
         )
     policies: dict[str, Any] = {}
     for label, source in named_specs(policy or ["expert"]).items():
-        is_on_cells = grid is not None and Path(source).suffix.lower() in (
-            ".npy",
-            ".npz",
-        )
-        read = (
-            read_policy_array
-            if is_on_cells
-            else partial(_find_policy, simulator=simulator)
-        )
-        policies[label] = read(source, name="--policy")
-    settings = {
-        name: value
-        for name, value in options.items()
-        if name not in ("state", "actions", "simulations")
-    }
+        if grid is not None and _is_array_file(source):
+            policies[label] = read_policy_array(source, name="--policy")
+        else:
+            policies[label] = _find_policy(source, simulator, "--policy")
+    other = ("state", "actions", "simulations")
+    settings = {name: value for name, value in options.items() if name not in other}
+    behavior_policy = None
+    if behavior is not None:
+        behavior_policy = _find_policy(behavior, simulator, "--behavior")
+    target_task = None
+    if target is not None:
+        target_task = continuous_simulator(target, state=state, actions=actions).task
     return evaluate_continuous(
         simulator,
         recorded,
         policies,
         settings=Settings(grid=grid, episodes=options.get("simulations"), **settings),
-        behavior=(
-            None
-            if behavior is None
-            else _find_policy(behavior, simulator, "--behavior")
-        ),
-        target=(
-            None
-            if target is None
-            else continuous_simulator(target, state=state, actions=actions).task
-        ),
+        behavior=behavior_policy,
+        target=target_task,
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
     )
@@ -343,9 +333,13 @@ def record_log(
     log = simulator.record(_find_policy(policy, simulator, "policy"), **limits)
     if simulator.task.actions.ndim == 1:
         return log
-    return ContinuousTransitions(
-        **(log.columns() | {"action": simulator.task.actions[log.action]})
-    )
+    commands = {"action": simulator.task.actions[log.action]}
+    return ContinuousTransitions(**(log.columns() | commands))
+
+
+def _is_array_file(source: str) -> bool:
+    """Return whether a policy's specification is a file of probabilities."""
+    return Path(source).suffix.lower() in (".npy", ".npz")
 
 
 def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
@@ -353,7 +347,7 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
 
     An array's cells are those of the default grid.
     """
-    if Path(spec).suffix.lower() not in (".npy", ".npz"):
+    if not _is_array_file(spec):
         return simulator.policy(spec, name)
     from oee_tabular.continuous.discretization import DEFAULT_VERTICES
     from oee_tabular.mdp.policies import read_policy_array

@@ -35,7 +35,12 @@ from scipy.optimize import least_squares
 
 from oee_tabular import _checks, _progress
 from oee_tabular._parallel import one_thread
-from oee_tabular.continuous.history import MAX_LAG, HistoryTask, hidden_state
+from oee_tabular.continuous.history import (
+    MAX_LAG,
+    HistoryTask,
+    check_n_actions,
+    hidden_state,
+)
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import (
@@ -48,19 +53,20 @@ from oee_tabular.continuous.task import (
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, Seed
 
-# by which parameters are fitted; slow: of tasks that step one by one
+# rows by which parameters are fitted; slow tasks step one state at a time
 MAX_ROWS = 20_000
 MAX_SLOW_ROWS = 2000
-ROUNDING = 1e-9  # relative: no standard error is less
-DIFFERENCE = 1e-5  # relative step of the derivatives in p
-# eigenvalues of the curvature, relative to the largest: the log does not determine such
-# a direction
-FLAT = 1e-9
-FLOOR = 1e-7  # of the errors' scale, in displacements: rounding
+# share of a parameter's size: no standard error is less, because of rounding
+MIN_RELATIVE_ERROR = 1e-9
+RELATIVE_STEP = 1e-5  # of the derivatives in p, in units of a parameter's size
+# share of the curvature's largest eigenvalue: the log does not determine a direction
+# with less
+MIN_RELATIVE_CURVATURE = 1e-9
+MIN_ERROR_SCALE = 1e-7  # displacements' deviations: less is rounding
 MIN_GAIN = 0.01  # of a step's own deviation: a history that brings less is not kept
 # share of the hidden part that may be left with a history, for its value to be trusted
 MAX_HIDDEN_LEFT = 0.2
-PREFERENCE = 1.05  # how much larger the error with fitted parameters may be
+MAX_ERROR_RATIO = 1.05  # of the errors with and without fitted parameters
 UNITS = "the log's columns seem to be in another unit than the simulator's: "
 
 
@@ -115,11 +121,9 @@ class ParameterFit:
         text = f"Least squares gives {values}."
         if self.at_bounds:
             text += f" The fit stopped at a bound of {', '.join(self.at_bounds)}."
-        if unknown := [
-            name
-            for name, error in self.standard_error.items()
-            if not np.isfinite(error)
-        ]:
+        errors = self.standard_error.items()
+        unknown = [name for name, error in errors if not np.isfinite(error)]
+        if unknown:
             text += f" The log does not determine {', '.join(unknown)}."
         return text
 
@@ -220,26 +224,26 @@ def fit_parameters(
 
     def scaled_errors(x: Array) -> Array:
         """Return the errors in units of the displacements' deviations, as a vector."""
-        return (
-            errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)
-        ).ravel()
+        left = errors(task_of(**by_name(x)), step)
+        return (left / np.where(moved > 0, moved, 1.0)).ravel()
 
     x = x0
     size = np.where(x0 != 0, np.abs(x0), 1.0)
     options: dict[str, Any] = {
         "loss": "soft_l1",
         "x_scale": size,
-        "diff_step": DIFFERENCE,
+        "diff_step": RELATIVE_STEP,
         "max_nfev": 50,
     }
     for _ in range(3):  # the scale of the errors falls as the fit improves
         left = np.abs(scaled_errors(x))
-        c = max(float(np.median(left[left > 0])) if (left > 0).any() else 0.0, FLOOR)
+        median = float(np.median(left[left > 0])) if (left > 0).any() else 0.0
+        c = max(median, MIN_ERROR_SCALE)
         result = least_squares(
             scaled_errors, x, bounds=(low, high), f_scale=c, **options
         )
         x = result.x
-    steps = np.diag(DIFFERENCE * size)
+    steps = np.diag(RELATIVE_STEP * size)
     jacobian = np.stack(
         [
             (scaled_errors(x + h) - scaled_errors(x - h)) / (2.0 * h.sum())
@@ -247,10 +251,9 @@ def fit_parameters(
         ],
         axis=1,
     )
-    error = np.maximum(
-        _sandwich(jacobian, scaled_errors(x), c, len(log.state[::step])),
-        ROUNDING * size,
-    )
+    n_rows = len(log.state[::step])
+    sandwich = _sandwich(jacobian, scaled_errors(x), c, n_rows)
+    error = np.maximum(sandwich, MIN_RELATIVE_ERROR * size)
     task = task_of(**by_name(x))
     at_bounds = tuple(
         name for name, mask in zip(names, result.active_mask, strict=True) if mask
@@ -271,15 +274,14 @@ def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
     weight = (1.0 + (residual / c) ** 2) ** -0.5
     # weight^3 is rho''
     values, vectors = np.linalg.eigh(unit.T @ (unit * (weight**3)[:, None]))
-    is_flat = values <= FLAT * values[-1]
+    is_flat = values <= MIN_RELATIVE_CURVATURE * values[-1]
     inverse = (vectors[:, ~is_flat] / values[~is_flat]) @ vectors[:, ~is_flat].T
-    gradients = (
-        (unit * (weight * residual)[:, None]).reshape(n_rows, -1, len(size)).sum(axis=1)
-    )
+    weighted = unit * (weight * residual)[:, None]
+    gradients = weighted.reshape(n_rows, -1, len(size)).sum(axis=1)
     error = np.sqrt(((gradients @ inverse) ** 2).sum(axis=0)) / scale
-    return np.where(
-        (size == 0) | (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1), np.inf, error
-    )
+    # a parameter with a part in a flat direction is not determined
+    is_undetermined = (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1)
+    return np.where((size == 0) | is_undetermined, np.inf, error)
 
 
 def parameters_of(
@@ -294,12 +296,8 @@ def parameters_of(
     if family is not None:
         known = family.known()
     else:
-        own = (
-            [f.name for f in dataclasses.fields(task) if f.init]
-            if dataclasses.is_dataclass(task)
-            else vars(task)
-        )
-        values = {name: getattr(task, name) for name in own if not name.startswith("_")}
+        public = [name for name in _attributes(task) if not name.startswith("_")]
+        values = {name: getattr(task, name) for name in public}
         known = {
             name: float(x)
             for name, x in values.items()
@@ -324,6 +322,13 @@ def parameters_of(
         return again
 
     return change if family is None else family, {name: known[name] for name in names}
+
+
+def _attributes(task: Any) -> list[str]:
+    """Return the names of a task's attributes, of a dataclass its parameters' names."""
+    if dataclasses.is_dataclass(task):
+        return [f.name for f in dataclasses.fields(task) if f.init]
+    return list(vars(task))
 
 
 def describe_flaw(learned: ResidualSimulator) -> str:
@@ -420,10 +425,11 @@ class Correction:
     @property
     def name(self) -> str:
         """Return the name of its row in a report."""
-        parts = ["parameters"] * (self.fit is not None) + ["residual"]
-        parts += [
-            "last action" if self.steps == 1 else f"last {self.steps} actions"
-        ] * (self.steps > 0)
+        parts = ["residual"]
+        if self.fit is not None:
+            parts.insert(0, "parameters")
+        if self.steps > 0:
+            parts.append(f"last {describe_count(self.steps)}")
         return f"oee ({', '.join(parts)})"
 
     @property
@@ -433,11 +439,9 @@ class Correction:
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
         """Return a policy of the simulator's states as one of the corrected states."""
-        return (
-            self.learned.task.policy(policy)
-            if isinstance(self.learned.task, HistoryTask) and self.steps
-            else policy
-        )
+        if isinstance(self.learned.task, HistoryTask) and self.steps:
+            return self.learned.task.policy(policy)
+        return policy
 
     def advice(self, *, is_auto: bool) -> str:
         """Advise what to do where history matters and no correction can be trusted.
@@ -491,12 +495,8 @@ def choose_correction(
         The correction.
     """
     is_auto = history == "auto"
-    if not is_auto:
-        history = (
-            0
-            if history == 0 and history is not False
-            else _checks.positive_integer(history, "history")
-        )
+    if history != "auto":
+        history = check_n_actions(history, "history")
     _progress.report_step("correction of the simulator by the log")
     plain = ResidualSimulator(task, log, seed=seed)
 
@@ -513,7 +513,7 @@ def choose_correction(
     fitted = ResidualSimulator(fit.task, log, seed=seed)
     both = correct(fitted, fit)
     errors = [each.learned.held_out_error for each in (both, chosen)]
-    is_taken = errors[0] <= PREFERENCE * errors[1]
+    is_taken = errors[0] <= MAX_ERROR_RATIO * errors[1]
     words = ("fitted", "no larger") if is_taken else ("given", "smaller")
     text = (
         f"{fit.describe()} The value in front corrects the residuals of the {words[0]}"
@@ -531,19 +531,21 @@ def choose_correction(
 
 
 def _add_history(
-    plain: ResidualSimulator, log: ContinuousTransitions, history: int | str, seed: Seed
+    plain: ResidualSimulator,
+    log: ContinuousTransitions,
+    history: int | Literal["auto"],
+    seed: Seed,
 ) -> tuple[ResidualSimulator, int]:
     """Return the correction with the best, or the given, number of last actions."""
 
     def learn(steps: int) -> ResidualSimulator:
         """Correct the task with ``steps`` last actions in its state."""
-        _progress.report_step(
-            f"correction with {steps} earlier action{'s' * (steps > 1)} in the state"
-        )
+        actions = "action" if steps == 1 else "actions"
+        _progress.report_step(f"correction with {steps} earlier {actions} in the state")
         whole = HistoryTask(plain.task, steps)
         return ResidualSimulator(whole, whole.log(log), seed=seed)
 
-    if isinstance(history, int):
+    if history != "auto":
         return learn(history) if history else plain, history
     hidden = [c.history for c in plain.coordinates if c.hidden]
     if not hidden or plain.units:
@@ -556,11 +558,15 @@ def _add_history(
         if min(before) - last < MIN_GAIN / 3.0:
             break
     least = min(each.held_out_error for each in tried.values()) ** 0.5
+    most = least + MIN_GAIN
     return next(
-        (each, k)
-        for k, each in tried.items()
-        if each.held_out_error**0.5 <= least + MIN_GAIN
+        (each, k) for k, each in tried.items() if each.held_out_error**0.5 <= most
     )
+
+
+def describe_count(steps: int) -> str:
+    """Return how many actions there are, in words after "last"."""
+    return "action" if steps == 1 else f"{steps} actions"
 
 
 def describe_history(
@@ -569,18 +575,14 @@ def describe_history(
     """Describe how many last actions are in the state and why; "" where none are."""
     if not steps:
         return ""
-    text = (
-        "The value in front has the last"
-        f" {'action' if steps == 1 else f'{steps} actions'} in the state"
-    )
+    text = f"The value in front has the last {describe_count(steps)} in the state"
     if not is_auto:
         return f"{text}." if describe_flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
     text += (
         f", because {hidden_state(plain)}. The held-out one-step error falls from"
-        f" {before} to {after} of a step's standard "
+        f" {before} to {after} of a step's standard deviation."
     )
-    text += "deviation."
-    return text + f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." * (
-        steps == MAX_LAG
-    )
+    if steps == MAX_LAG:
+        text += f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more."
+    return text

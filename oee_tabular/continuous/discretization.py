@@ -47,7 +47,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -74,13 +74,13 @@ from oee_tabular.continuous.task import (
     require_log_of,
 )
 from oee_tabular.exceptions import ArgumentError, DiscretizationWarning
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, RealArrayLike, Seed
 
 N_LLOYD = 3  # iterations for the centres of cells
-POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
+N_BOX_POINTS = 4  # along each axis, where a state is the box around its vertex
 DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15}  # along each feature, by how many there are
 DEFAULT_CELLS = 1000  # above
-TOLERANCE = 0.05  # of the closure error: beyond it is warned about
+CLOSURE_TOLERANCE = 0.05  # share of the value: a larger closure error is warned about
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class GridInterpolation:
     """
 
     shape: tuple[int, ...]
-    low: Any = None
-    high: Any = None
+    low: RealArrayLike | None = None
+    high: RealArrayLike | None = None
     noise_points: int | None = None
     vertex_weight: float = 0.01
 
@@ -179,14 +179,10 @@ class GridInterpolation:
                 f"must have {k} numbers, one for each feature of {task.name}"
                 f" ({', '.join(task.feature_names)}); it is {self.shape}",
             )
-        ends = (
-            task.feature_low if self.low is None else self.low,
-            task.feature_high if self.high is None else self.high,
-        )
-        low, high = (
-            _checks.float_array(end, name)
-            for end, name in zip(ends, ("low", "high"), strict=True)
-        )
+        given_low = task.feature_low if self.low is None else self.low
+        given_high = task.feature_high if self.high is None else self.high
+        low = _checks.float_array(given_low, "low")
+        high = _checks.float_array(given_high, "high")
         for name, end in (("low", low), ("high", high)):
             if end.shape != (k,):
                 raise ArgumentError(
@@ -204,13 +200,11 @@ class GridInterpolation:
         states, actions = each_action(task, points)
         averages = None
         if task.is_translation_invariant:
-            line = (np.arange(POINTS_OF_A_BOX) + 0.5) / POINTS_OF_A_BOX - 0.5
-            box = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(
-                -1, k
-            )
-            points = task.embed(
-                (grid.vertices()[:, None] + box * grid.spacing).reshape(-1, k)
-            )
+            line = (np.arange(N_BOX_POINTS) + 0.5) / N_BOX_POINTS - 0.5
+            box = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1)
+            box = box.reshape(-1, k)
+            spread = grid.vertices()[:, None] + box * grid.spacing
+            points = task.embed(spread.reshape(-1, k))
             cell = np.repeat(cell, len(box))
         elif log is not None:
             own = check_states(task, log.state, "log.state")
@@ -218,13 +212,12 @@ class GridInterpolation:
             inside = ~grid.outside(task.features(own))
             own = own[inside]
             chosen = chosen[inside]
-            logged = spread_over_pairs(
-                grid.weights(task.features(own)), chosen, task.n_actions
-            )
+            start = grid.weights(task.features(own))
+            logged = spread_over_pairs(start, chosen, task.n_actions)
+            # where the log has nothing, the row is the vertex's own
             vertex = np.where(logged.sum(axis=0) > 0, self.vertex_weight, 1.0)
-            averages = average_of_pairs(
-                sparse.vstack([sparse.diags_array(vertex), logged], format="csr")
-            )
+            weights = sparse.vstack([sparse.diags_array(vertex), logged], format="csr")
+            averages = average_of_pairs(weights)
             states = np.concatenate([states, own])
             actions = np.concatenate([actions, chosen])
         return Places(grid, states, actions, averages, points, cell, self.noise_points)
@@ -286,7 +279,7 @@ class VisitedCells:
         log: ContinuousTransitions | None,
         others: Sequence[ContinuousTask],
         policies: Sequence[StatePolicy],
-        seed: Any,
+        seed: Seed,
     ) -> Places:
         """Return cells of visited states, and some of the states under each action.
 
@@ -356,15 +349,19 @@ class VisitedCells:
         for _ in range(N_LLOYD):
             number = cKDTree(centres).query(points)[1]
             n = np.bincount(number, minlength=len(centres))
-            total = np.stack(
-                [np.bincount(number, column, len(centres)) for column in points.T],
-                axis=1,
-            )
+            sums = [np.bincount(number, column, len(centres)) for column in points.T]
+            total = np.stack(sums, axis=1)
             centres = total[n > 0] / n[n > 0, None]
         distance, number = cKDTree(centres).query(points)
-        return VoronoiCells(
-            centres[np.unique(number)] * scale, scale, float(distance.max())
-        )
+        kept = centres[np.unique(number)]
+        return VoronoiCells(kept * scale, scale, float(np.max(distance)))
+
+
+# where the states lie: vertices along each feature, a number of visited cells, or the
+# places of another discretisation
+CellsLike: TypeAlias = (
+    int | tuple[int, ...] | GridInterpolation | VisitedCells | Discretization
+)
 
 
 def visited_states(
@@ -373,7 +370,7 @@ def visited_states(
     n: int,
     *,
     max_steps: int,
-    seed: Any,
+    seed: Seed,
 ) -> Array:
     """Draw states before each transition from every task under every policy.
 
@@ -414,13 +411,12 @@ def visited_states(
             "tasks and policies must have at least one each; one of them is empty"
         )
     each = -(-size // len(pairs))
-    found = [
-        record(task, policy, n_transitions=each, max_steps=max_steps, seed=stream).state
-        for (task, policy), stream in zip(
-            pairs, _checks.generator(seed).spawn(len(pairs)), strict=True
-        )
-    ]
-    return np.concatenate(found)[:size]
+    streams = _checks.generator(seed).spawn(len(pairs))
+    visited = []
+    for (task, policy), stream in zip(pairs, streams, strict=True):
+        log = record(task, policy, n_transitions=each, max_steps=max_steps, seed=stream)
+        visited.append(log.state)
+    return np.concatenate(visited)[:size]
 
 
 @one_thread
@@ -428,13 +424,13 @@ def discretize(
     task: ContinuousTask,
     log: ContinuousTransitions | None = None,
     *,
-    cells: Any = None,
+    cells: CellsLike | None = None,
     floor: float = 0.0,
     others: Sequence[ContinuousTask] | None = None,
     policies: Sequence[StatePolicy] = (),
     discount: float = 0.99,
     closure_episodes: int = 2000,
-    seed: Any = 0,
+    seed: Seed = 0,
 ) -> Discretization:
     """Make a FiniteMDP on numbered states of a continuous task.
 
@@ -513,11 +509,10 @@ def discretize(
     if log is not None:
         require_log_of(task, log)
     process = task.on_features()
-    mixed = (
-        list(process.others())
-        if others is None
-        else [other.on_features() for other in others]
-    )
+    if others is None:
+        mixed = list(process.others())
+    else:
+        mixed = [other.on_features() for other in others]
     if share > 0.0 and not mixed:
         _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
         if log is None:
@@ -526,13 +521,11 @@ def discretize(
                 f"must be 0 without a log, for {task.name} has no others; it is"
                 f" {floor}",
             )
-    chosen = process.default_cells if cells is None else cells
-    k = len(process.feature_names)
-    if chosen is None:
-        chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
-    if not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
-        is_number = isinstance(chosen, int | np.integer)
-        chosen = VisitedCells(int(chosen)) if is_number else GridInterpolation(chosen)
+    chosen = _choose_cells(process) if cells is None else cells
+    if isinstance(chosen, int | np.integer):
+        chosen = VisitedCells(int(chosen))
+    elif not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
+        chosen = GridInterpolation(chosen)
     if isinstance(chosen, Discretization):
         places = chosen.places
     else:
@@ -543,7 +536,8 @@ def discretize(
     if share == 0.0 and others is None:
         mixed = []
     starts, mass = process.initial_points()
-    inner = places.cells.weights(process.features(starts)).T @ mass
+    weights = places.cells.weights(process.features(starts))
+    inner = np.asarray(weights.T @ mass)
     initial = np.append(inner / inner.sum(), np.zeros(int(process.terminates)))
     simulators = tuple(
         places.simulate(each, initial, discount) for each in (process, *mixed)
@@ -565,10 +559,21 @@ def discretize(
     if share == 0.0:
         return model
     if mixed or log is None:
-        return model.mixture([1.0 - share, *[share / len(mixed)] * len(mixed)])
-    with warnings.catch_warnings(action="ignore"):  # whoever encodes the log is told
+        shares = np.full(1 + len(mixed), share / len(mixed))
+        shares[0] = 1.0 - share
+        return model.mixture(shares)
+    # ``encode`` and ``counts`` warn of states outside again, where they are called
+    with warnings.catch_warnings(action="ignore"):
         counts = model.counts(log, outside="nearest")
     return replace(model, mdp=model.plain.with_support_of(counts, share))
+
+
+def _choose_cells(task: ContinuousTask) -> CellsLike:
+    """Return the task's own cells, or those for its number of features."""
+    if task.default_cells is not None:
+        return task.default_cells
+    k = len(task.feature_names)
+    return (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
 
 
 def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
@@ -577,7 +582,7 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
     It warns where the error is beyond the tolerance and Monte Carlo's own error.
     """
     error, noise = model.closure_error(n_episodes=n_episodes)
-    if abs(error) > TOLERANCE + 2.0 * noise:
+    if abs(error) > CLOSURE_TOLERANCE + 2.0 * noise:
         text = (
             f"{model.cells.extent()} is too coarse for the steps of {model.task.name}:"
             f" the uniform policy's value on it has a closure error of {error:+.1%}"
@@ -592,19 +597,16 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
             moved = task.noiseless_step(states, actions).next_state
             length = np.abs(task.features(moved) - task.features(states))
             period = np.where(grid.periodic, grid.high - grid.low, np.inf)
-            median = np.median(
-                np.minimum(length, np.abs(period - length)) / grid.spacing, axis=0
-            )
+            shorter = np.minimum(length, np.abs(period - length))
+            median = np.median(shorter / grid.spacing, axis=0)
             steps = ", ".join(
                 f"{name} {step:.2g}"
                 for name, step in zip(task.feature_names, median, strict=True)
             )
             text += (
                 f"; the median step, in spacings: {steps}. A step well below 1 is"
-                " smeared out by interpolation: take more "
+                " smeared out by interpolation: take more points there"
             )
-            text += "points there"
         _checks.warn(text, DiscretizationWarning)
-    return replace(
-        model, diagnostics={"closure_error": error, "closure_standard_error": noise}
-    )
+    measured = {"closure_error": error, "closure_standard_error": noise}
+    return replace(model, diagnostics=measured)

@@ -7,15 +7,20 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks, _files
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import canonical, row_of_entry
-from oee_tabular.continuous.cells import Grid, Places, indicator, spread_over_pairs
+from oee_tabular.continuous.cells import (
+    Grid,
+    Places,
+    VoronoiCells,
+    indicator,
+    spread_over_pairs,
+)
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import (
@@ -29,9 +34,10 @@ from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import KIND
-from oee_tabular.typing import Array, BoolArray, IntArray, Seed
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, RealArrayLike, Seed
 
 OUTSIDE = ("error", "nearest", "drop")
+Outside: TypeAlias = Literal["error", "nearest", "drop"]
 N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
 
 
@@ -85,7 +91,7 @@ class Discretization:
         )
 
     @property
-    def cells(self) -> Any:
+    def cells(self) -> Grid | VoronoiCells:
         """Return the cells in which the states lie."""
         return self.places.cells
 
@@ -156,7 +162,8 @@ class Discretization:
 
         def interpolated(states: Array) -> Array:
             """Return the mean of the table's rows over the cells of each state."""
-            found = self.cells.weights(self.task.features(states)) @ inner
+            weights = self.cells.weights(self.task.features(states))
+            found = np.asarray(weights @ inner)
             return np.asarray(found / found.sum(axis=1, keepdims=True))
 
         return interpolated
@@ -231,21 +238,14 @@ class Discretization:
             not sum to 1.
         """
         shares = _checks.distribution(weights, "weights", (len(self.simulators),))
-        used = [
-            (share, part)
-            for share, part in zip(shares, self.simulators, strict=True)
-            if share > 0.0
-        ]
+        pairs = zip(shares, self.simulators, strict=True)
+        used = [(share, part) for share, part in pairs if share > 0.0]
         rewards = np.sum([share * part.rewards for share, part in used], axis=0)
-        return replace(
-            self,
-            mdp=self.with_transitions(
-                sum(share * part.transitions for share, part in used), rewards
-            ),
-        )
+        transitions = sum(share * part.transitions for share, part in used)
+        return replace(self, mdp=self.with_transitions(transitions, rewards))
 
     def with_transitions(
-        self, transitions: sparse.csr_array, rewards: Array | None = None
+        self, transitions: Csr, rewards: Array | None = None
     ) -> FiniteMDP:
         """Return an MDP on the same states with other transitions, wherever they lead.
 
@@ -261,14 +261,14 @@ class Discretization:
         FiniteMDP
             The MDP.
         """
-        paid = self.plain.rewards if rewards is None else rewards
         plain = self.plain
+        chosen = plain.rewards if rewards is None else rewards
         return self.places.finite_mdp(
-            self.task, transitions, paid, plain.initial, plain.discount
+            self.task, transitions, chosen, plain.initial, plain.discount
         )
 
     @one_thread
-    def fit_weights(self, counts: sparse.csr_array) -> Array:
+    def fit_weights(self, counts: Csr) -> Array:
         """Fit weights of ``simulators`` that minimise the KL risk of counts.
 
         Parameters
@@ -294,13 +294,9 @@ class Discretization:
         system identification, stated as a ratio.
         """
         entries = counts.tocoo()
-        table = np.stack(
-            [
-                np.asarray(part.transitions[entries.coords]).ravel()
-                for part in self.simulators
-            ],
-            axis=1,
-        )
+        rows, columns = entries.coords
+        parts = [part.transitions[rows, columns] for part in self.simulators]
+        table = np.stack([np.asarray(part).ravel() for part in parts], axis=1)
         impossible = np.flatnonzero(table.sum(axis=1) == 0.0)
         if impossible.size:
             s, a = divmod(int(entries.coords[0][impossible[0]]), self.task.n_actions)
@@ -318,7 +314,11 @@ class Discretization:
         return np.asarray(weights)
 
     def encode_states(
-        self, states: object, *, seed: Any = None, outside: str = "error"
+        self,
+        states: RealArrayLike,
+        *,
+        seed: Seed = None,
+        outside: Literal["error", "nearest"] = "error",
     ) -> IntArray:
         """Return the number of each state.
 
@@ -351,7 +351,11 @@ class Discretization:
         return _pick(self.places.weights(self.task, array, ended), draws)
 
     def encode(
-        self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error"
+        self,
+        log: ContinuousTransitions,
+        *,
+        seed: Seed = None,
+        outside: Outside = "error",
     ) -> Transitions:
         """Return the log with numbered states and actions, ready for ``Problem``.
 
@@ -386,12 +390,10 @@ class Discretization:
         if seed is not None:
             draws = _checks.generator(seed).random((len(kept), 2)).T
             draws[1, same] = draws[0, same + 1]
-        first = _pick(
-            self.places.weights(self.task, kept.state, np.zeros_like(ended)), draws[0]
-        )
-        following = _pick(
-            self.places.weights(self.task, kept.next_state, ended), draws[1]
-        )
+        before = self.places.weights(self.task, kept.state, np.zeros_like(ended))
+        after = self.places.weights(self.task, kept.next_state, ended)
+        first = _pick(before, draws[0])
+        following = _pick(after, draws[1])
         # float32 copies of one state may lie on two sides of an edge
         first[same + 1] = following[same]
         columns = kept.columns() | {
@@ -403,9 +405,7 @@ class Discretization:
         columns["truncated"] = (kept.truncated | kept.terminated) & ~ended
         return Transitions(**columns)
 
-    def counts(
-        self, log: ContinuousTransitions, *, outside: str = "error"
-    ) -> sparse.csr_array:
+    def counts(self, log: ContinuousTransitions, *, outside: Outside = "error") -> Csr:
         """Compute soft counts n(s, a, s') of a log.
 
         Parameters
@@ -446,12 +446,10 @@ class Discretization:
         else:
             start = self.places.weights(task, kept.state, np.zeros_like(ended))
             arrival = self.places.weights(task, kept.next_state, ended)
-        return canonical(
-            spread_over_pairs(start, actions, task.n_actions).T @ arrival,
-            drop_zeros=True,
-        )
+        pairs = spread_over_pairs(start, actions, task.n_actions)
+        return canonical(pairs.T @ arrival, drop_zeros=True)
 
-    def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
+    def supported(self, counts: Csr) -> tuple[Csr, float]:
         """Return the counts where ``mdp`` has probability, and the others' share.
 
         Parameters
@@ -468,9 +466,11 @@ class Discretization:
             them.
         """
         matrix = canonical(counts, drop_zeros=True)
-        kept = canonical(matrix.multiply(self.mdp.transitions != 0), drop_zeros=True)
+        has_probability = self.mdp.transitions.astype(np.bool_)
+        kept = canonical(matrix.multiply(has_probability), drop_zeros=True)
         total = float(matrix.data.sum())
-        return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
+        share = 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
+        return kept, share
 
     def displacement_ties(self) -> IntArray:
         """Return a tie for each entry of ``mdp.transitions``.
@@ -502,11 +502,8 @@ class Discretization:
         first, action = np.divmod(row_of_entry(matrix), self.task.n_actions)
         places = grid.indices()
         apart = places[matrix.indices] - places[first] + grid.shape
-        return np.asarray(
-            np.ravel_multi_index(
-                (action, *apart.T), (self.task.n_actions, *(2 * n for n in grid.shape))
-            )
-        )
+        sizes = (self.task.n_actions, *(2 * n for n in grid.shape))
+        return np.asarray(np.ravel_multi_index((action, *apart.T), sizes))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the MDP as ``FiniteMDP.load`` reads it, with the metadata as JSON.
@@ -522,7 +519,7 @@ class Discretization:
         )
 
     def _select_rows(
-        self, log: ContinuousTransitions, outside: str
+        self, log: ContinuousTransitions, outside: Outside
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """Return the rows that can be encoded, their actions, and which ones end."""
         require_log_of(self.task, log)
@@ -530,7 +527,8 @@ class Discretization:
         task = self.task
         actions = log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
-        for row in () if task.terminates else np.flatnonzero(log.terminated):
+        if not task.terminates and log.terminated.any():
+            row = int(log.terminated.argmax())
             raise ArgumentError(
                 f"log.terminated[{row}]",
                 f"must be False: episodes of {task.name} do not end; it is True",
@@ -566,7 +564,7 @@ class Discretization:
         return log.select(~gone), actions[~gone], ended[~gone]
 
     def _outside(
-        self, states: Array, ended: BoolArray, name: str, outside: str
+        self, states: Array, ended: BoolArray, name: str, outside: Outside
     ) -> BoolArray:
         """Return which states that are not terminal lie outside the cells.
 
@@ -576,21 +574,22 @@ class Discretization:
         gone = self.cells.outside(features) & ~ended
         rows = np.flatnonzero(gone)
         if rows.size:
-            at = zip(self.task.feature_names, features[rows[0]], strict=True)
-            text = (
-                f"{name} must be inside {self.cells.extent()}: {rows.size} of"
-                f" {len(states)} rows are not; the first, row {rows[0]}, is at"
-                f" {', '.join(f'{feature}={value:.4g}' for feature, value in at)}. "
+            pairs = zip(self.task.feature_names, features[rows[0]], strict=True)
+            place = ", ".join(f"{feature}={value:.4g}" for feature, value in pairs)
+            rule = (
+                f"must be inside {self.cells.extent()}: {rows.size} of {len(states)}"
+                f" rows are not; the first, row {rows[0]}, is at {place}. "
             )
             if outside == "error":
-                raise ValueError(
-                    f"{text}A wider grid, or outside='nearest' or 'drop' (--task-option"
-                    " outside=), takes them"
+                raise ArgumentError(
+                    name,
+                    f"{rule}A wider grid, or outside='nearest' or 'drop' (--task-option"
+                    " outside=), takes them",
                 )
-            done = (
-                "left out" if outside == "drop" else "moved to the nearest place inside"
-            )
-            _checks.warn(f"{text}They are {done}", DataWarning)
+            done = "moved to the nearest place inside"
+            if outside == "drop":
+                done = "left out"
+            _checks.warn(f"{name} {rule}They are {done}", DataWarning)
         return np.asarray(gone)
 
 
@@ -599,7 +598,7 @@ def uniform_policy_of(task: ContinuousTask) -> StatePolicy:
     return lambda states: np.full((len(states), task.n_actions), 1.0 / task.n_actions)
 
 
-def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
+def _pick(weights: Csr, draws: Array | None) -> IntArray:
     """Return a state number for each row of weights.
 
     It is the heaviest, or the one that a uniform number (n,) picks.
@@ -612,7 +611,6 @@ def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
         pick = table.argmax(axis=1)
     else:
         running = np.cumsum(table, axis=1)
-        pick = np.minimum(
-            (running <= (draws * running[:, -1])[:, None]).sum(axis=1), width - 1
-        )
+        level = (draws * running[:, -1])[:, None]
+        pick = np.minimum((running <= level).sum(axis=1), width - 1)
     return np.asarray(weights.indices[low + pick], dtype=np.int64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -136,9 +135,8 @@ def monte_carlo_value(
     returns = []
     for rng, size in _streams(seed, n):
         total = np.zeros(size)
-        for t, (alive, _, _, _, moved) in enumerate(
-            _walk(task, policy, size, steps, rng)
-        ):
+        walk = _walk(task, policy, size, steps, rng)
+        for t, (alive, _, _, _, moved) in enumerate(walk):
             total[alive] += gamma**t * moved.reward
         returns.append(total)
     every = np.concatenate(returns) * ((1.0 - gamma) if normalized else 1.0)
@@ -172,9 +170,8 @@ def compare_returns(
     for t, stream in enumerate(steps.spawn(horizon)):
         uniform = stream.random(n)
         disturbance = stream.standard_normal((n_disturbances, n)).T
-        actions = _choose(
-            check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n]
-        )
+        probabilities = check_probabilities(policy, states, tasks[0].n_actions)
+        actions = _choose(probabilities, uniform[alive % n])
         following = np.empty_like(states)
         ended = np.zeros(len(states), dtype=np.bool_)
         ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
@@ -199,7 +196,7 @@ def record(
     n_transitions: int | None = None,
     n_episodes: int | None = None,
     max_steps: int,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> ContinuousTransitions:
     """Record episodes of the task under a policy, with the transitions that end them.
 
@@ -260,7 +257,7 @@ def record(
     return ContinuousTransitions.concatenate(parts).first(rows)
 
 
-def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
+def _streams(seed: Seed, n: int) -> list[tuple[np.random.Generator, int]]:
     """Return generators for CHUNK episodes each, spawned from ``seed``."""
     _checks.require_memory(9.0 * n, "n_episodes", n)
     sizes = [min(CHUNK, n - low) for low in range(0, n, CHUNK)]
@@ -301,9 +298,8 @@ def _episodes(
 ) -> ContinuousTransitions:
     """Record n episodes, sorted by episode and then by time."""
     rows: list[tuple[object, ...]] = []
-    for t, (alive, states, actions, probabilities, moved) in enumerate(
-        _walk(task, policy, n, steps, rng)
-    ):
+    walk = _walk(task, policy, n, steps, rng)
+    for t, (alive, states, actions, probabilities, moved) in enumerate(walk):
         cut = (t == steps - 1) & ~moved.terminated
         taken = probabilities[np.arange(len(alive)), actions]
         rows.append(
@@ -329,7 +325,7 @@ def _episodes(
 
 
 def resimulate(
-    task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None
+    task: ContinuousTask, log: ContinuousTransitions, *, seed: Seed = None
 ) -> ContinuousTransitions:
     """Step the states and actions of a log once in a simulator.
 

@@ -30,6 +30,7 @@ from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import LinearModel
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.rows import OnCells, Rollouts, Row, refuse_impossible
 from oee_tabular.continuous.simulator import (
     CommandPolicy,
@@ -64,13 +65,13 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
 from oee_tabular.report.results import Report, Result
 from oee_tabular.report.uncertainty import Uncertainty, choose_interval
-from oee_tabular.typing import Array, Seed
+from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, Seed
 
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
-# states of the log in which a policy's commands are compared with those that are played
-MAX_ASKED = 1000
+# of the log, in which a policy's commands are compared with those that are played
+MAX_POLICY_STATES = 1000
 
 
 @one_thread
@@ -88,7 +89,16 @@ def evaluate_continuous(
     estimators: Sequence[str] | None = None,
     horizon: int | None = None,
     discount: float = 0.99,
-    **options: Any,
+    confidence: float = 0.95,
+    seed: Seed = None,
+    normalized: bool = False,
+    facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
+    quick: bool = False,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    tie: IntArrayLike | None = None,
+    features: RealArrayLike | None = None,
 ) -> Report:
     """Evaluate policies of a continuous task in the target that a log was recorded in.
 
@@ -136,6 +146,17 @@ def evaluate_continuous(
     quick : bool, default False
         Whether likelihood intervals, which take most of the time on cells, are left
         out.
+    lower_ratio : float, optional
+        A lower bound of the target's transition probabilities over the simulator's, on
+        cells, as in ``interval``. It narrows likelihood and guaranteed intervals.
+    upper_ratio : float, optional
+        An upper bound of them.
+    tie : array_like of int, optional
+        A key of each transition on cells, as in ``transition_ratio``; adds the row
+        oee-tied.
+    features : array_like, optional
+        Features of each transition on cells, as in ``transition_ratio``; adds the row
+        oee-features.
 
     Returns
     -------
@@ -193,20 +214,18 @@ def evaluate_continuous(
         policies, Mapping, "policies", "mapping from names to policies"
     ):
         raise ArgumentError("policies", "must hold at least one; it is empty")
-    facts = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts"))
-    seed = options.get("seed")
+    own_facts = dict(_checks.instance(facts or {}, Mapping, "facts"))
     _checks.instance(
         simulator.task if target is None else target, ContinuousTask, "target"
     )
     names = None if estimators is None else _names(estimators, "estimators")
-    fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
+    if fit is not None and not isinstance(fit, ParameterFit):
+        fit = _names(fit, "fit")
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
-    steps = (
-        simulator.horizon
-        if horizon is None
-        else _checks.positive_integer(horizon, "horizon")
-    )
+    steps = simulator.horizon
+    if horizon is not None:
+        steps = _checks.positive_integer(horizon, "horizon")
     require_log_of(simulator.task, log)
     cells = None
     with warnings.catch_warnings(record=True) as caught:
@@ -230,31 +249,28 @@ def evaluate_continuous(
                     f"The rows on the grid are left out: {reason}",
                     DiscretizationWarning,
                 )
-    kinds = {
-        str(w.message): w.category
-        for w in caught
-        if issubclass(w.category, UserWarning)
-    }
-    messages = list(kinds)
-    for message, category in kinds.items():
+    of_user = [w for w in caught if issubclass(w.category, UserWarning)]
+    categories = {str(w.message): w.category for w in of_user}
+    messages = list(categories)
+    for message, category in categories.items():
         _checks.warn(message, category)
     tables: dict[str, Array] = {}
     functions: dict[str, StatePolicy] = {}
     for name, policy in policies.items():
         if callable(policy):
-            functions[name] = rounded = as_probabilities(policy, simulator.task.actions)
-            messages += filter(
-                None, [_describe_rounding(name, rounded, log.state[:MAX_ASKED])]
-            )
+            rounded = as_probabilities(policy, simulator.task.actions)
+            functions[name] = rounded
+            rounding = _describe_rounding(name, rounded, log.state[:MAX_POLICY_STATES])
+            if rounding:
+                messages.append(rounding)
         elif cells is None:
-            raise ValueError(
-                f"policy {name!r} must be a function of states: there are no cells to"
-                " be an array on"
+            raise ArgumentError(
+                f"policy {name!r}",
+                "must be a function of states: there are no cells to be an array on",
             )
         if cells is not None:
-            tables[name] = cells.model.policy(
-                functions.get(name, policy), f"policy {name!r}"
-            )
+            given = functions.get(name, policy)
+            tables[name] = cells.model.policy(given, f"policy {name!r}")
             functions.setdefault(name, cells.model.policy_function(tables[name]))
     if fit is not None and not isinstance(fit, ParameterFit):
         fit = fit_parameters(*parameters_of(simulator.task, fit), numbered)
@@ -262,26 +278,26 @@ def evaluate_continuous(
         simulator.task, numbered, history=history, fit=fit, seed=seed
     )
     episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
+    # all rows share one stream, so that they differ by their tasks and not by chance
     stream = _checks.seed_sequence(seed, (10**6,))
     rollouts = Rollouts(
         steps, discount, episodes, stream, simulator.refits, simulator.refit_paths
     )
     simulate = cache(partial(rollouts.value, simulator.task))
-    scale = 1.0 - discount if options.get("normalized") else 1.0
+    scale = 1.0 - discount if normalized else 1.0
     low, high = correction.plain.rewards
     bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
 
     def learned_row(
-        learned: ContinuousTask, status: str, policy: StatePolicy
+        learned: ResidualSimulator | LinearModel, status: str, policy: StatePolicy
     ) -> Estimate:
         """Estimate a value in a learned task, and refuse one of an impossible sign.
 
         The sign must be possible with the rewards of the log, and of the simulator's
         own steps from there.
         """
-        return refuse_impossible(
-            rollouts.estimate(learned, policy, status), *bounds, steps, scale
-        )
+        estimate = rollouts.estimate(learned, policy, status)
+        return refuse_impossible(estimate, *bounds, steps, scale)
 
     def simulated_row(policy: StatePolicy) -> Estimate:
         """Estimate a value in the simulator itself."""
@@ -289,68 +305,89 @@ def evaluate_continuous(
             simulate(policy), is_headline=not correction.is_trusted
         )
 
+    def corrected_row(policy: StatePolicy) -> Estimate:
+        """Estimate a value in the corrected simulator."""
+        own = correction.policy(policy)
+        return learned_row(correction.learned, correction.status, own)
+
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
     wants_oee = OffEnvironment() in wanted.values()
     plain_status = describe_flaw(correction.plain)
-    rows: dict[str, Row] = {} if correction.is_trusted else {SIMULATOR: simulated_row}
+    # rows in front, in the order of what they may be trusted for
+    rows: dict[str, Row] = {}
+    if not correction.is_trusted:
+        rows[SIMULATOR] = simulated_row
     if wants_oee:
-        rows[correction.name] = lambda policy: learned_row(
-            correction.learned, correction.status, correction.policy(policy)
-        )
+        rows[correction.name] = corrected_row
         rows["oee (residual)"] = partial(learned_row, correction.plain, plain_status)
     sampling = {
         name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)
     }
     others: dict[str, Row] = {}
     if names is None:
-        others[LINEAR] = partial(
-            learned_row, LinearModel(simulator.task, numbered), plain_status
-        )
-    others |= sampling_rows(
-        sampling, numbered, simulator.task.n_actions, steps, discount
-    ) | {SIMULATOR: simulated_row}
+        linear = LinearModel(simulator.task, numbered)
+        others[LINEAR] = partial(learned_row, linear, plain_status)
+    n_actions = simulator.task.n_actions
+    others |= sampling_rows(sampling, numbered, n_actions, steps, discount)
+    others[SIMULATOR] = simulated_row
     last: dict[str, Row] = {}
     if target is not None:
-        last["target (continuous)"] = lambda policy: _describe_simulated(
-            rollouts.value(target, policy)
-        )
-    change = difference(
-        correction.plain
-        if correction.fit is not None and not correction.steps
-        else correction.learned
-    )
-    first = tuple(
-        filter(
-            None,
-            (correction.advice(is_auto=history == "auto"), correction.reason, change),
-        )
-    )
-    caveat = (
-        ""
-        if correction.is_trusted
-        else f"No correction can be trusted, because {correction.status}."
-    )
-    messages = [
-        *left_out,
-        *messages,
-        *filter(None, [_describe_rewards(simulator.task, numbered)]),
-    ]
+
+        def target_row(policy: StatePolicy) -> Estimate:
+            """Estimate a value in the true target."""
+            return _describe_simulated(rollouts.value(target, policy))
+
+        last["target (continuous)"] = target_row
+    # fitted parameters leave little to tell: the difference is that of what was given
+    compared = correction.learned
+    if correction.fit is not None and not correction.steps:
+        compared = correction.plain
+    advice = correction.advice(is_auto=history == "auto")
+    sentences = (advice, correction.reason, difference(compared))
+    first = tuple(sentence for sentence in sentences if sentence)
+    caveat = ""
+    if not correction.is_trusted:
+        caveat = f"No correction can be trusted, because {correction.status}."
+    messages = [*left_out, *messages]
+    about_rewards = _describe_rewards(simulator.task, numbered)
+    if about_rewards:
+        messages.append(about_rewards)
     if cells is None:
+        premises = {
+            "lower_ratio": lower_ratio,
+            "upper_ratio": upper_ratio,
+            "tie": tie,
+            "features": features,
+        }
+        for premise, value in premises.items():
+            if value is not None:
+                raise ArgumentError(
+                    premise,
+                    "must be left out without cells: it is about the transitions of a"
+                    " finite simulator",
+                )
         about = {
             "simulator": f"{simulator.name}, without cells",
             "log": repr(log),
-            **facts,
+            **own_facts,
         }
         report = _report_rows(
-            functions, rows | others | last, steps, discount, about, **options
+            functions,
+            rows | others | last,
+            steps,
+            discount,
+            about,
+            seed=seed,
+            confidence=confidence,
+            normalized=normalized,
+            guaranteed=guaranteed,
+            quick=quick,
         )
         uncertainty = Uncertainty(distance=first, caveat=caveat)
-        return replace(
-            report, warnings=(*report.warnings, *messages), uncertainty=uncertainty
-        )
-    known = {
-        table.tobytes(): functions[name] for name, table in tables.items()
-    }  # policies by their tables on the cells
+        every_message = (*report.warnings, *messages)
+        return replace(report, warnings=every_message, uncertainty=uncertainty)
+    # policies by their tables on the cells, which are all that finite estimators take
+    known = {table.tobytes(): functions[name] for name, table in tables.items()}
 
     def simulate_table(table: Array) -> MonteCarlo:
         """Estimate the value of a policy's table on the cells, in the simulator."""
@@ -369,12 +406,22 @@ def evaluate_continuous(
     every = on_tables(rows)
     if wants_oee and kind != "none":
         every["oee (calibrated)"] = cells.calibrated(simulate_table, kind, scale)
-    finite = {
-        name: estimator for name, estimator in wanted.items() if name not in sampling
-    }
+    finite = {name: e for name, e in wanted.items() if name not in sampling}
     every |= on_tables(others) | cells.others(finite) | on_tables(last)
     report = evaluate(
-        cells.problem, tables, estimators=every, facts=cells.facts | facts, **options
+        cells.problem,
+        tables,
+        estimators=every,
+        confidence=confidence,
+        seed=seed,
+        normalized=normalized,
+        facts=cells.facts | own_facts,
+        guaranteed=guaranteed,
+        quick=quick,
+        lower_ratio=lower_ratio,
+        upper_ratio=upper_ratio,
+        tie=tie,
+        features=features,
     )
     messages.append(cells.describe_loss(simulate_table, tables))
     uncertainty = replace(
@@ -419,16 +466,15 @@ def sampling_rows(
         "next_state": following[:n],
     }
     columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
-    if log.reward is None:  # there is nothing to average
+    if log.reward is None:  # without rewards there is nothing to average
         columns |= {"episode": None, "timestep": None}
     problem = Problem(mdp, Transitions(**columns), horizon=horizon)
 
     def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
         """Estimate a policy's value by its probabilities in the log's own states."""
         table = check_probabilities(policy, log.state, n_actions)
-        return estimator(
-            problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)])
-        )
+        at_end = np.full(n_actions, 1.0 / n_actions)
+        return estimator(problem, np.vstack([table, at_end]))
 
     return {name: partial(weigh, estimator) for name, estimator in wanted.items()}
 
@@ -458,9 +504,9 @@ def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
     distance, beyond = policy.rounding(states)
     if distance == beyond == 0.0:
         return ""
-    cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it." * (
-        beyond > 0.0
-    )
+    cut = ""
+    if beyond > 0.0:
+        cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it."
     return (
         f"The commands of “{name}” are rounded to the task's {len(policy.actions)}"
         f" commands, by {distance:.2g} (root mean square in the log's states).{cut}"
@@ -506,15 +552,12 @@ def _choose_estimators(
     Those of finite problems need cells.
     """
     if names is None:
-        is_weighted = all(
-            column is not None
-            for column in (log.reward, log.episode, log.behavior_probability)
-        )
-        names = [
-            "oee",
-            *["simulator", "model-based"] * has_cells,
-            *["pdis", "wpdis"] * is_weighted,
-        ]
+        needed = (log.reward, log.episode, log.behavior_probability)
+        names = ["oee"]
+        if has_cells:
+            names += ["simulator", "model-based"]
+        if all(column is not None for column in needed):
+            names += ["pdis", "wpdis"]
     estimators = named_estimators(names)
     kinds = (ImportanceSampling, Simulator)
     gone = [
@@ -522,13 +565,11 @@ def _choose_estimators(
         for name, e in estimators.items()
         if not (has_cells or isinstance(e, kinds) or e == OffEnvironment())
     ]
-    sentence = (
-        f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need"
-        " cells."
-    )
-    return {name: e for name, e in estimators.items() if name not in gone}, [
-        sentence
-    ] * bool(gone)
+    kept = {name: e for name, e in estimators.items() if name not in gone}
+    if not gone:
+        return kept, []
+    verb = "is" if len(gone) == 1 else "are"
+    return kept, [f"{', '.join(gone)} {verb} left out: they need cells."]
 
 
 def _report_rows(
@@ -565,9 +606,8 @@ def _report_rows(
     for name, policy in policies.items():
         for label, row in rows.items():
             _progress.report_step(f"{label} of “{name}”")
-            results.append(
-                Result(name, label, choose_interval(row(policy), None, level, scale))
-            )
+            estimate = choose_interval(row(policy), None, level, scale)
+            results.append(Result(name, label, estimate))
     texts, notes = number_notes(results, group_findings(results))
     return Report(
         tuple(results),

@@ -29,15 +29,15 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, IntArray, RealArrayLike, Seed
 
 N_JOINTS = 7
 # position 3, angles, speeds and references 7 each, the last command 3
 N_ARM_STATES = 27
 # rad, the usual resting pose
 HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])
-FARTHEST = 1.3  # m: beyond the reach of a Gen3
-MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+MAX_REACH = 1.3  # m: beyond the reach of a Gen3
+MAX_JOINT_ANGLE = 8 * np.pi  # rad: continuous joints count turns, but not so many
 HORIZON = 25  # commands of a run
 DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
 
@@ -62,10 +62,8 @@ def _chain() -> tuple[Array, Array]:
         for body in ElementTree.fromstring(arm_xml()).iter("body")
         if "euler" in body.attrib
     ]
-    offsets, turns = (
-        [[float(x) for x in body[name].split()] for body in bodies]
-        for name in ("pos", "euler")
-    )
+    offsets = [[float(x) for x in body["pos"].split()] for body in bodies]
+    turns = [[float(x) for x in body["euler"].split()] for body in bodies]
     return np.array(offsets), np.array(turns)[:, 0]
 
 
@@ -82,17 +80,24 @@ def _frames(joints: Array) -> tuple[Array, Array, Array]:
         c = np.cos(turns[k])
         s = np.sin(turns[k])
         place = place + p[0] * x + p[1] * y + p[2] * z
-        y, z = c * y + s * z, c * z - s * y
+        y, z = _rotate(y, z, c, s)
         if k < N_JOINTS:
             origins[:, k] = place
             axes[:, k] = z
             c = np.cos(joints[:, k, None])
             s = np.sin(joints[:, k, None])
-            x, y = c * x + s * y, c * y - s * x
+            x, y = _rotate(x, y, c, s)
     return origins, axes, place
 
 
-def end_effector(joints: Array) -> Array:
+def _rotate(
+    first: Array, second: Array, cosine: Array, sine: Array
+) -> tuple[Array, Array]:
+    """Turn two axes about the third."""
+    return cosine * first + sine * second, cosine * second - sine * first
+
+
+def end_effector(joints: RealArrayLike) -> Array:
     """Compute the position of the end effector, (n, 3) in m.
 
     The joint angles are (n, 7) in rad; the frame is that of the base.
@@ -154,17 +159,14 @@ REACH = np.array([0.24, 0.24, 0.20])
 
 def goal_number(goal: object) -> int:
     """Return ``goal`` as a row number of GOALS."""
-    if (
-        isinstance(goal, bool)
-        or not isinstance(goal, int | np.integer)
-        or not 0 <= goal < len(GOALS)
-    ):
+    number = goal if isinstance(goal, int | np.integer) else -1
+    if isinstance(goal, bool) or not 0 <= number < len(GOALS):
         raise ArgumentError(
             "goal",
             f"must be in 0..{len(GOALS) - 1}, a row of GOALS; it is"
             f" {_checks.show(goal)}",
         )
-    return int(goal)
+    return int(number)
 
 
 class HandTask(ContinuousTask):
@@ -305,12 +307,12 @@ class KinovaPolicy:
     def __call__(self, states: Array) -> Array:
         """Return the probabilities (n, 27) of the commands."""
         apart = GOALS[self.goal] - states[:, :3]
-        command = (
-            np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64)
-            + 1
-        )
+        direction = np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0)
+        levels = direction.astype(np.int64) + 1
+        # commands are numbered in C order over the three levels of x, y and z
+        number = levels @ np.array([9, 3, 1])
         table = np.full((len(states), len(COMMANDS)), self.delta / len(COMMANDS))
-        table[np.arange(len(states)), command @ np.array([9, 3, 1])] += 1.0 - self.delta
+        table[np.arange(len(states)), number] += 1.0 - self.delta
         return table
 
 
@@ -323,7 +325,7 @@ def record_goals(
     n_runs: int = 10,
     delta: float = 0.0,
     horizon: int = HORIZON,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> ContinuousTransitions:
     """Record runs to each of the five goals, by default the paper's 50 trajectories.
 
@@ -410,9 +412,8 @@ def hand_log(
     """
     _checks.instance(log, ContinuousTransitions, "log")
     columns: dict[str, Any] = log.columns()
-    columns |= {
-        name: _positions(columns[name], name) for name in ("state", "next_state")
-    }
+    for name in ("state", "next_state"):
+        columns[name] = _positions(columns[name], name)
     if speed is not None:
         scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
         if log.action.ndim != 2:
@@ -484,12 +485,14 @@ def _positions(states: Array, name: str) -> Array:
             f" {N_ARM_STATES} (the stand-in's state); it has {width}",
         )
     is_angles = width == N_JOINTS
-    limit, what = (
-        (MOST_TURNS, "joint angles in rad")
-        if is_angles
-        else (FARTHEST, "positions in m")
-    )
-    array = states if is_angles else np.array(states[:, :3])
+    if is_angles:
+        array = states
+        limit = MAX_JOINT_ANGLE
+        what = "joint angles in rad"
+    else:
+        array = np.array(states[:, :3])
+        limit = MAX_REACH
+        what = "positions in m"
     for place in np.argwhere(np.abs(array) > limit):
         where = _checks.place(f"log.{name}", tuple(place))
         raise ArgumentError(

@@ -16,6 +16,7 @@ import inspect
 import itertools
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -27,14 +28,14 @@ from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.tasks.toy_text import environment_exists
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, BoolArray, RealArrayLike
 
-# MODULE:EnvId-v0
+# MODULE:EnvId-v0, an environment that a module registers
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")
-# of each coordinate of a command, by how many coordinates there are
+# levels of each coordinate of a command, by how many coordinates there are
 N_LEVELS = {1: 9, 2: 5}
 MAX_COMMANDS = 1000
-HORIZON = 1000  # where the environment has no limit
+HORIZON = 1000  # steps, where the environment has no limit
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
 # fields of a MuJoCo model whose elements have names: the kind of the name, and how many
 # there are
@@ -49,28 +50,38 @@ ELEMENTS = {
 }
 
 
-_CAR = {
+def _is_car_over(env: Any, states: Array) -> BoolArray:
+    """Return which states (n, 2) of the mountain car are at the goal."""
+    is_there = states[:, 0] >= env.goal_position
+    return np.asarray(is_there & (states[:, 1] >= env.goal_velocity))
+
+
+def _is_cartpole_over(env: Any, states: Array) -> BoolArray:
+    """Return which states (n, 4) of CartPole are beyond its thresholds."""
+    limits = [env.x_threshold, env.theta_threshold_radians]
+    return np.asarray((np.abs(states[:, [0, 2]]) > limits).any(axis=1))
+
+
+def _is_acrobot_over(env: Any, states: Array) -> BoolArray:
+    """Return in which states (n, 4) of the acrobot the tip is above the line."""
+    height = -np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0])
+    return np.asarray(height > 1.0)
+
+
+_CAR: dict[str, Any] = {
     "state_names": ("position", "speed"),
     "low": (-1.2, -0.07),
     "high": (0.6, 0.07),
-} | {
-    "over": lambda env, states: (
-        (states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity)
-    )
+    "over": _is_car_over,
 }
-# by the name of the class, or of one that it is made from: what GymnasiumTask takes;
+# what GymnasiumTask takes, by the name of the class or of one that it is made from;
 # ``over`` takes the environment as well
 CLASSIC: Mapping[str, dict[str, Any]] = {
     "CartPoleEnv": {
         "state_names": ("x", "x_dot", "theta", "theta_dot"),
         "low": (-2.4, -3.0, -0.21, -3.2),
         "high": (2.4, 3.0, 0.21, 3.2),
-        "over": (
-            lambda env, states: (
-                np.abs(states[:, [0, 2]])
-                > [env.x_threshold, env.theta_threshold_radians]
-            ).any(axis=1)
-        ),
+        "over": _is_cartpole_over,
     },
     "PendulumEnv": {
         "state_names": ("angle", "speed"),
@@ -86,15 +97,13 @@ CLASSIC: Mapping[str, dict[str, Any]] = {
         "low": (-np.pi, -np.pi, -4 * np.pi, -9 * np.pi),
         "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi),
         "periodic": (True, True, False, False),
-        "over": lambda env, states: (
-            -np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0
-        ),
+        "over": _is_acrobot_over,
     },
 }
 
 
 def gymnasium_simulator(
-    spec: str, *, state: str | None = None, actions: object = None
+    spec: str, *, state: str | None = None, actions: RealArrayLike | None = None
 ) -> ContinuousSimulator:
     """Make the continuous simulator of the Gymnasium environment that ``spec`` names.
 
@@ -135,9 +144,10 @@ def gymnasium_simulator(
     physics = Physics(*gymnasium_spec(spec))
     env = physics.make()
     env.reset(seed=0)
-    known = (
-        _find_state(env, physics.identifier) if state is None else _parse_state(state)
-    )
+    if state is None:
+        known = _find_state(env, physics.identifier)
+    else:
+        known = _parse_state(state)
     if "over" in known:
         known["over"] = partial(known["over"], env)
     known |= {
@@ -145,8 +155,11 @@ def gymnasium_simulator(
         "make_vector": physics.make_vector,
     }
     task = GymnasiumTask(physics.make, parameters=physics.given, **known)
-    task.family, physics.task = physics, task
-    return as_simulator(task, env.spec.max_episode_steps or HORIZON, name=spec, **SLOW)
+    task.family = physics
+    physics.task = task
+    simulator = as_simulator(task, env.spec.max_episode_steps or HORIZON)
+    # even where the steps of many states are made at once, they are slower than ours
+    return replace(simulator, name=spec, **SLOW)
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
@@ -200,18 +213,15 @@ def _parse_state(state: str) -> dict[str, Any]:
     names = [name.strip() for name in state.split(",", 1)]
     module = state.partition(":")[0]
     if len(names) < 2:
-        raise ValueError(
-            "--task-option state must be like my_module:get,set, two functions; got"
-            f" {state!r}"
+        raise ArgumentError(
+            "--task-option state",
+            f"must be like my_module:get,set, two functions; got {state!r}",
         )
     with own_modules():
+        specs = [name if ":" in name else f"{module}:{name}" for name in names]
         get, write = (
-            own_object(
-                name if ":" in name else f"{module}:{name}",
-                "--task-option state",
-                "my_module:get,set",
-            )
-            for name in names
+            own_object(spec, "--task-option state", "my_module:get,set")
+            for spec in specs
         )
     return {"get_state": get, "set_state": write}
 
@@ -227,23 +237,26 @@ def _find_state(env: Any, identifier: str) -> dict[str, Any]:
     if hasattr(env, "model") and hasattr(env, "data") and hasattr(env, "set_state"):
         return _describe_mujoco(env.model)
     state = getattr(env, "state", None)
-    try:
-        is_vector = (
-            state is not None
-            and np.array(state, dtype=np.float64).ndim == 1
-            and np.size(state) > 0
-        )
-    except (TypeError, ValueError):
-        is_vector = False
-    if not is_vector:
-        raise ValueError(
-            f"environment {identifier!r} must have a state that can be set,"
-            " unwrapped.state (numbers) or unwrapped.set_state(qpos, qvel); it has"
-            " neither. Write two functions, get(env) -> numbers and set(env, numbers),"
-            " and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask"
-            " in Python)"
+    if not _is_vector(state):
+        raise ArgumentError(
+            f"environment {identifier!r}",
+            "must have a state that can be set, unwrapped.state (numbers) or"
+            " unwrapped.set_state(qpos, qvel); it has neither. Write two functions,"
+            " get(env) -> numbers and set(env, numbers), and name them: --task-option"
+            " state=MODULE:GET,SET (tasks.GymnasiumTask in Python)",
         )
     return {}
+
+
+def _is_vector(state: object) -> bool:
+    """Return whether a state is a vector of at least one number."""
+    if state is None:
+        return False
+    try:
+        numbers = np.array(state, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    return numbers.ndim == 1 and numbers.size > 0
 
 
 def _describe_mujoco(model: Any) -> dict[str, Any]:
@@ -252,12 +265,10 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
     Hinges without a range are angles.
     """
     nq = int(model.nq)
-    names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(
-        f"qvel_{i}" for i in range(int(model.nv))
-    )
-    free = (np.asarray(model.jnt_type) == HINGE) & ~np.asarray(
-        model.jnt_limited, dtype=np.bool_
-    )
+    positions = tuple(f"qpos_{i}" for i in range(nq))
+    names = positions + tuple(f"qvel_{i}" for i in range(int(model.nv)))
+    is_limited = np.asarray(model.jnt_limited, dtype=np.bool_)
+    free = (np.asarray(model.jnt_type) == HINGE) & ~is_limited
     turns = set(np.asarray(model.jnt_qposadr)[free].tolist())
 
     def get(env: Any) -> Array:
@@ -266,7 +277,7 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
 
     def write(env: Any, state: Array) -> None:
         """Set the state of an environment."""
-        # of the step before, which is another's
+        # the solver's start is that of the step before, from another state
         env.unwrapped.data.qacc_warmstart[:] = 0.0
         env.unwrapped.set_state(np.array(state[:nq]), np.array(state[nq:]))
 
@@ -279,7 +290,7 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
     }
 
 
-def action_set(space: Any, given: Any = None) -> Array:
+def action_set(space: Any, given: RealArrayLike | None = None) -> Array:
     """Return numbers (A,) of a Discrete space, or commands (A, k) of a Box.
 
     Parameters
@@ -315,9 +326,8 @@ def action_set(space: Any, given: Any = None) -> Array:
                 f"must be left out where the environment has {space}; they are"
                 f" {_checks.show(given)}",
             )
-        return np.asarray(
-            int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64
-        )
+        numbers = int(getattr(space, "start", 0)) + np.arange(int(space.n))
+        return np.asarray(numbers, dtype=np.float64)
     if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
         raise ArgumentError(
             "env.action_space", f"must be Discrete, or a Box of vectors; it is {space}"
@@ -334,7 +344,8 @@ def action_set(space: Any, given: Any = None) -> Array:
             )
         levels = list(np.linspace(space.low, space.high, n).T)
     else:
-        levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
+        given_levels = _checks.float_array(count, "actions", ndim=(1, 2))
+        levels = [given_levels for _ in range(k)]
     n_levels = len(levels[0])
     table = np.asarray(levels[0])
     if table.ndim == 1:
@@ -370,41 +381,32 @@ class Physics:
         self.given = dict(given)
         self.spec = gymnasium.spec(identifier)
         self._takes = inspect.signature(_load(self.spec.entry_point)).parameters
-        self._arguments = {
-            key: x
-            for key, x in given.items()
-            if key in self._takes or key in self.spec.kwargs
-        }
+        known_arguments = {*self._takes, *self.spec.kwargs}
+        self._arguments = {key: x for key, x in given.items() if key in known_arguments}
         self._constants: dict[str, Any] = {}
         self._fields: dict[str, Any] = {}
         for key, value in self._arguments.items():
             if key in self._takes and _is_number(self._takes[key].default):
                 _checks.number_in(value, key, -np.inf, np.inf)
-        rest = {
-            key: value for key, value in given.items() if key not in self._arguments
-        }
+        rest = {key: x for key, x in given.items() if key not in self._arguments}
         if not rest:
             return
         env = self.make()
         inner = env.unwrapped
-        elements = _elements(env.unwrapped)
-        known = _numbers_of(env.unwrapped)
+        elements = _elements(inner)
+        known = _numbers_of(inner)
+        holders = (inner.model, inner.model.opt) if elements else ()
         for key, value in rest.items():
-            holders = (inner.model, inner.model.opt) if elements else ()
-            if not hasattr(inner, key) and (
-                key in elements or any(hasattr(each, key) for each in holders)
-            ):
+            is_field = key in elements or any(hasattr(each, key) for each in holders)
+            if is_field and not hasattr(inner, key):
                 self._fields[key] = value
                 continue
             if key not in known:
-                takes = (
-                    ", ".join(name for name in self._takes if name != "kwargs")
-                    or "none"
-                )
+                takes = ", ".join(name for name in self._takes if name != "kwargs")
                 raise ArgumentError(
                     key,
-                    f"must be an argument or a number of {identifier}: it takes {takes}"
-                    f" and has {', '.join(known) or 'none'}; got {key}={value!r}",
+                    f"must be an argument or a number of {identifier}: it takes"
+                    f" {takes or 'none'} and has {', '.join(known) or 'none'}; got {key}={value!r}",
                 )
             self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
         env.close()
@@ -462,7 +464,12 @@ class Physics:
         """
         if self.spec.vector_entry_point is None or self._fields:
             return None
-        return lambda n: self.make("vector_entry_point", num_envs=n)
+
+        def make_many(n: int) -> Any:
+            """Make n environments that step at once."""
+            return self.make("vector_entry_point", num_envs=n)
+
+        return make_many
 
     def __call__(self, **parameters: float) -> Any:
         """Return the task with these parameters."""
@@ -478,16 +485,13 @@ class Physics:
         model (body_mass.pole).
         """
         env = self.make()
-        found = (
-            {name: p.default for name, p in self._takes.items()}
-            | _numbers_of(env.unwrapped)
-            | self.given
-        )
+        found = {name: p.default for name, p in self._takes.items()}
+        found |= _numbers_of(env.unwrapped)
+        found |= self.given
         found |= {name: values[0] for name, values in _elements(env.unwrapped).items()}
         env.close()
-        return {
-            name: float(value) for name, value in found.items() if _is_number(value)
-        }
+        numbers = {name: x for name, x in found.items() if _is_number(x)}
+        return {name: float(x) for name, x in numbers.items()}
 
 
 def _load(point: object) -> Any:
@@ -507,13 +511,18 @@ def _numbers_of(inner: object) -> dict[str, Any]:
 
     None is computed by a property.
     """
-    names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
-    plain = [
-        name
-        for name in names
-        if not isinstance(inspect.getattr_static(inner, name, None), property)
-    ]
-    return {name: x for name in plain if _is_number(x := getattr(inner, name, None))}
+    numbers = {}
+    for name in sorted(dir(inner)):
+        is_private = name.startswith("_")
+        # a property may compute, or fail before an episode begins
+        if is_private or isinstance(
+            inspect.getattr_static(inner, name, None), property
+        ):
+            continue
+        value = getattr(inner, name, None)
+        if _is_number(value):
+            numbers[name] = value
+    return numbers
 
 
 def _elements(inner: Any) -> dict[str, Any]:
@@ -523,12 +532,15 @@ def _elements(inner: Any) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     model: Any = getattr(inner, "model", None)
-    for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():
+    if not hasattr(model, "nbody"):
+        return found
+    for field, (kind, count) in ELEMENTS.items():
         values = getattr(model, field)
         for k in range(getattr(model, count)):
-            name = getattr(model, kind)(
-                int(model.dof_jntid[k]) if count == "nv" else k
-            ).name or str(k)
+            # degrees of freedom are named by their joint
+            number = int(model.dof_jntid[k]) if count == "nv" else k
+            name = getattr(model, kind)(number).name or str(k)
+            # a joint of several degrees of freedom stands for its first
             found.setdefault(f"{field}.{name}", values.reshape(len(values), -1)[k])
     return found
 

@@ -30,15 +30,15 @@ from oee_tabular.continuous.task import (
     check_probabilities,
 )
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike, Seed
 
-FEWEST_AT_ONCE = 16  # states
-LOOKED = 1000  # steps by which usual ranges are found
+MIN_STATES_AT_ONCE = 16  # fewer are stepped one by one
+N_RANGE_STEPS = 1000  # by which usual ranges are found
 MAX_DRAWS = 64  # in a step
-SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
-# share of steps that may be another (contacts, whose solvers remember): told, not
-# refused
-FEW = 0.05
+MAX_STEP_DIFFERENCE = 0.02  # of a coordinate's usual step, for a step that is repeated
+# of steps that are not repeated (contacts, whose solvers remember): up to so many are a
+# warning, more an error
+MAX_DIFFERING_SHARE = 0.05
 
 
 def read_state(env: Any) -> Array:
@@ -55,6 +55,13 @@ def write_state(env: Any, state: Array) -> None:
     inner.state = np.array(state)
     if hasattr(inner, "steps_beyond_terminated"):
         inner.steps_beyond_terminated = None
+
+
+def _is_same(x: Array, y: Array) -> bool:
+    """Return whether two arrays are equal up to rounding."""
+    if x.shape != y.shape:
+        return False
+    return bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
 
 
 class GymnasiumTask(ContinuousTask):
@@ -141,10 +148,10 @@ class GymnasiumTask(ContinuousTask):
         self,
         make: Callable[[], Any],
         *,
-        actions: object,
+        actions: RealArrayLike,
         state_names: Sequence[str] | None = None,
-        low: object = None,
-        high: object = None,
+        low: RealArrayLike | None = None,
+        high: RealArrayLike | None = None,
         get_state: Callable[[Any], Any] = read_state,
         set_state: Callable[[Any, Array], None] = write_state,
         periodic: tuple[bool, ...] | None = None,
@@ -196,11 +203,12 @@ class GymnasiumTask(ContinuousTask):
                     f"must be in {self._env.action_space}; it is"
                     f" {self.actions[number].tolist()}",
                 )
-        found = (
-            self._find_ranges(make()) if low is None or high is None else (low, high)
-        )
-        for name, own, given in zip(("low", "high"), found, (low, high), strict=True):
-            end = _checks.float_array(own if given is None else given, name)
+        if low is None or high is None:
+            usual_low, usual_high = self._find_ranges(make())
+            low = usual_low if low is None else low
+            high = usual_high if high is None else high
+        for name, given in (("low", low), ("high", high)):
+            end = _checks.float_array(given, name)
             if end.shape != state.shape:
                 raise ArgumentError(
                     name,
@@ -209,26 +217,26 @@ class GymnasiumTask(ContinuousTask):
                 )
             setattr(self, f"feature_{name}", end)
         self._set(self._env, state)
-        if not np.array_equal(kept := self.read(self._env), state):
+        kept = self.read(self._env)
+        if not np.array_equal(kept, state):
             raise ArgumentError(
                 "set_state",
                 f"must set what get_state reads; {state.tolist()} became"
                 f" {kept.tolist()}",
             )
-        # of parameters by name makes the task with them; where that is known (Physics)
+        # a function that makes the task with other parameters, given by name; Physics
+        # where the environment is named
         self.family: Any = None
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if check_steps:
-            record = self._check_steps(
-                make(), _checks.positive_integer(check_steps, "check_steps")
-            )
-            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (
-                make_vector is not None
-            )
-            self._at_once = next(
-                (way for way in ways if self._repeats(way, *record)), None
-            )
+            n_steps = _checks.positive_integer(check_steps, "check_steps")
+            record = self._check_steps(make(), n_steps)
+            ways = [GymnasiumTask._step_arrays]
+            if make_vector is not None:
+                ways.append(GymnasiumTask._step_vector)
+            repeating = (way for way in ways if self._repeats(way, *record))
+            self._at_once = next(repeating, None)
             self.n_disturbances = self._count_draws(*record)
 
     def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
@@ -248,33 +256,31 @@ class GymnasiumTask(ContinuousTask):
             return int(numbers[len(generators) - 1])
 
         states, _, following, reward, _, _ = self.play(env, choose, steps)
-        # rewards last
+        # rewards stand in the last column
         before = np.pad(states, ((0, 0), (0, 1)))
         after = np.column_stack([following, reward])
         again = np.empty_like(after)
-        # in the record's own order what the state lacks would come along
+        # another order: in the record's own, what the state lacks would come along
         for i in rng.permutation(steps):
-            moved = self.one_by_one(
-                states[i : i + 1], numbers[i : i + 1], generators[i]
-            )
+            one = slice(i, i + 1)
+            moved = self.one_by_one(states[one], numbers[one], generators[i])
             again[i] = np.append(moved.next_state[0], moved.reward)
-        size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (
-            1.0 + np.abs(after).max(axis=0)
-        )
+        rounding = 1e-9 * (1.0 + np.abs(after).max(axis=0))
+        size = np.sqrt(((after - before) ** 2).mean(axis=0)) + rounding
         away = np.abs(again - after)
-        bad = (away > SAME_STEP * size).any(axis=1)
+        bad = (away > MAX_STEP_DIFFERENCE * size).any(axis=1)
         if bad.any():
             k = int((away / size).max(axis=0).argmax())
+            worst = (*self.state_names, "the reward")[k]
             text = (
                 "get_state and set_state must have all that decides the next step, and"
                 f" chance must come from np_random: {int(bad.sum())} of {steps} steps"
                 f" of {self.name} differ from the record when stepped again from its"
                 " states. Read and set the rest as well, such as other bodies'"
                 " velocities and timers (--task-option state=MODULE:GET,SET); the most"
-                f" in {(*self.state_names, 'the reward')[k]}: {away[:, k].max():.3g},"
-                f" where a step moves it by {size[k]:.3g}"
+                f" in {worst}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}"
             )
-            if bad.mean() > FEW:
+            if bad.mean() > MAX_DIFFERING_SHARE:
                 raise ValueError(text)
             _checks.warn(text, SimulatorWarning)
         return states, np.asarray(numbers, dtype=np.int64)
@@ -294,10 +300,10 @@ class GymnasiumTask(ContinuousTask):
             # another interface than the one that is used here, numbers alone, or random
             # numbers
             return False
-        return np.array_equal(one.terminated, many.terminated) and all(
-            x.shape == y.shape
-            and bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
-            for x, y in ((one.next_state, many.next_state), (one.reward, many.reward))
+        return (
+            np.array_equal(one.terminated, many.terminated)
+            and _is_same(one.next_state, many.next_state)
+            and _is_same(one.reward, many.reward)
         )
 
     def _count_draws(self, states: Array, numbers: IntArray) -> int:
@@ -305,10 +311,9 @@ class GymnasiumTask(ContinuousTask):
 
         It is 0 where there are none, or others than ``Chance`` has.
         """
-        chances = [
-            Chance(xi)
-            for xi in np.random.default_rng(0).standard_normal((len(states), MAX_DRAWS))
-        ]
+        rng = np.random.default_rng(0)
+        draws = rng.standard_normal((len(states), MAX_DRAWS))
+        chances = [Chance(xi) for xi in draws]
         try:
             self.one_by_one(states, numbers, chances)
         except (AttributeError, IndexError, TypeError, ValueError):
@@ -334,14 +339,15 @@ class GymnasiumTask(ContinuousTask):
         ndarray of shape (n,) or None
             The rewards; None where no function was given.
         """
-        return (
-            None
-            if self._reward_between is None
-            else self._reward_between(states, actions, next_states)
-        )
+        if self._reward_between is None:
+            return None
+        return self._reward_between(states, actions, next_states)
 
     def with_environment(
-        self, make: Callable[[], Any], make_vector: Any, parameters: dict[str, Any]
+        self,
+        make: Callable[[], Any],
+        make_vector: Callable[[int], Any] | None,
+        parameters: dict[str, Any],
     ) -> GymnasiumTask:
         """Return the same task of another environment of the kind, not checked again.
 
@@ -437,7 +443,7 @@ class GymnasiumTask(ContinuousTask):
         """
         if self.n_disturbances:
             return super().step(states, actions, rng)
-        if self._at_once is not None and len(states) >= FEWEST_AT_ONCE:
+        if self._at_once is not None and len(states) >= MIN_STATES_AT_ONCE:
             return self._at_once(self, states, actions)
         return self.one_by_one(states, actions, rng)
 
@@ -447,9 +453,8 @@ class GymnasiumTask(ContinuousTask):
         n = len(states)
         inner.np_random = NO_CHANCE
         self._set(self._env, states.T.copy())
-        _, reward, over, _, _ = inner.step(
-            self.commands[actions].T.astype(self._env.action_space.dtype)
-        )
+        commands = self.commands[actions].T.astype(self._env.action_space.dtype)
+        _, reward, over, _, _ = inner.step(commands)
         following = self.read(self._env).T.copy()
         return Moves(
             following,
@@ -464,9 +469,8 @@ class GymnasiumTask(ContinuousTask):
         envs.reset(seed=0)
         envs.np_random = NO_CHANCE
         envs.state = states.T.copy()
-        _, reward, over, _, _ = envs.step(
-            self.commands[actions].astype(envs.action_space.dtype)
-        )
+        commands = self.commands[actions].astype(envs.action_space.dtype)
+        _, reward, over, _, _ = envs.step(commands)
         return Moves(
             np.array(envs.state.T, dtype=np.float64),
             np.asarray(reward, np.float64),
@@ -500,9 +504,8 @@ class GymnasiumTask(ContinuousTask):
         reward = np.empty(len(states))
         over = np.zeros(len(states), dtype=np.bool_)
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
-            env.unwrapped.np_random = (
-                rng if isinstance(rng, np.random.Generator) else rng[i]
-            )
+            own = rng if isinstance(rng, np.random.Generator) else rng[i]
+            env.unwrapped.np_random = own
             self._set(env, state)
             _, reward[i], over[i], _, _ = env.unwrapped.step(self.command(int(action)))
             following[i] = self.read(env)
@@ -543,7 +546,7 @@ class GymnasiumTask(ContinuousTask):
         states = self.initial_states(5000, np.random.default_rng(0))
         return states, np.full(len(states), 1.0 / len(states))
 
-    def terminated(self, states: Array) -> Any:
+    def terminated(self, states: Array) -> BoolArray:
         """Return which states are terminal, by the function ``over``.
 
         Parameters
@@ -556,14 +559,16 @@ class GymnasiumTask(ContinuousTask):
         ndarray of bool, shape (n,)
             Whether each state is terminal; none is without ``over``.
         """
-        return (
-            super().terminated(states)
-            if self._over is None
-            else np.asarray(self._over(states), dtype=np.bool_)
-        )
+        if self._over is None:
+            return super().terminated(states)
+        return np.asarray(self._over(states), dtype=np.bool_)
 
     def play(
-        self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None
+        self,
+        env: Any,
+        choose: Callable[[Array], int],
+        n: int,
+        limit: int | None = None,
     ) -> tuple[NDArray[Any], ...]:
         """Step a reset environment as any program would, never setting its state.
 
@@ -605,15 +610,17 @@ class GymnasiumTask(ContinuousTask):
         env.reset(seed=0)
         rng = np.random.default_rng(0)
         limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
-        states = self.play(
-            env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit
-        )[0]
+
+        def choose(state: Array) -> int:
+            """Draw an action, each with the same probability."""
+            return int(rng.integers(self.n_actions))
+
+        states = self.play(env, choose, N_RANGE_STEPS, limit)[0]
         low = states.min(axis=0)
         high = states.max(axis=0)
-        room = np.maximum(0.1 * (high - low), 1e-6)
-        return np.where(self.periodic, -np.pi, low - room), np.where(
-            self.periodic, np.pi, high + room
-        )
+        margin = np.maximum(0.1 * (high - low), 1e-6)
+        lower = np.where(self.periodic, -np.pi, low - margin)
+        return lower, np.where(self.periodic, np.pi, high + margin)
 
     def record(
         self,
@@ -621,7 +628,7 @@ class GymnasiumTask(ContinuousTask):
         *,
         n_transitions: int,
         max_steps: int,
-        seed: Any = None,
+        seed: Seed = None,
     ) -> ContinuousTransitions:
         """Record a log of what the environment does, whose state is never set.
 
@@ -657,20 +664,16 @@ class GymnasiumTask(ContinuousTask):
         def choose(state: Array) -> int:
             """Draw an action by the policy, and keep its probability."""
             chances = check_probabilities(policy, state[None], self.n_actions)[0]
-            number = int(
-                np.searchsorted(
-                    np.cumsum(chances), rng.random() * chances.sum(), side="right"
-                )
-            )
+            level = rng.random() * chances.sum()
+            number = int(np.searchsorted(np.cumsum(chances), level, side="right"))
             known.append(chances[number])
             return number
 
         *columns, over, cut = self.play(env, choose, rows, steps)
         cut[-1] |= not over[-1]
         episode = np.cumsum(over | cut) - (over | cut)
-        return ContinuousTransitions(
-            **dict(zip(RECORDED, (*columns, over, cut, episode, known), strict=True))
-        )
+        every = (*columns, over, cut, episode, known)
+        return ContinuousTransitions(**dict(zip(RECORDED, every, strict=True)))
 
     def command(self, number: int) -> Any:
         """Return what is passed to the environment's ``step``.

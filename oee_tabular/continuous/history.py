@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
-from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.log import CHAIN_TOLERANCE, ContinuousTransitions
 from oee_tabular.continuous.scatter import Neighbors
 from oee_tabular.continuous.task import (
     ContinuousTask,
@@ -27,7 +27,14 @@ from oee_tabular.continuous.task import (
     StatePolicy,
     require_log_of,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.residual import ResidualSimulator
+
+# what of an earlier step matters
+Kind: TypeAlias = Literal["action", "residual"]
 
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
@@ -37,9 +44,9 @@ MAX_ROWS = 20_000
 MAX_SLOW_ROWS = 3000
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
 NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
-CLIP = 8.0  # root mean squares: what rows at contacts count at most
-# standard errors over rows of what is explained: fewer than 16 rows cannot make it
-SURE = 4.0
+MAX_CLIPPED = 8.0  # root mean squares: what rows at contacts count at most
+# of what is explained, over rows: fewer than 16 rows cannot make it
+MIN_STANDARD_ERRORS = 4.0
 
 
 class HistoryTask(DerivedTask):
@@ -80,11 +87,7 @@ class HistoryTask(DerivedTask):
     """
 
     def __init__(self, task: ContinuousTask, steps: int = 1) -> None:
-        self.steps = steps = (
-            0
-            if steps is not False and steps == 0
-            else _checks.positive_integer(steps, "steps")
-        )
+        self.steps = steps = check_n_actions(steps, "steps")
         about = "action" if steps == 1 else f"{steps} actions"
         super().__init__(
             _checks.instance(task, ContinuousTask, "task"),
@@ -128,14 +131,15 @@ class HistoryTask(DerivedTask):
         actions = log.action_numbers(self.actions)
         earlier = earlier_rows(log, self.steps)
         if self.steps and not (earlier[:, -1] >= 0).any():
-            raise ValueError(
-                "steps must be less than the longest episode's transitions; no row of"
-                f" the log has {self.steps} before it"
-                + (
+            hint = ""
+            if log.episode is None:
+                hint = (
                     ": log.episode is not given, and no row begins where another ends"
-                    if log.episode is None
-                    else ""
                 )
+            raise ArgumentError(
+                "steps",
+                "must be less than the longest episode's transitions; no row of the log"
+                f" has {self.steps} before it{hint}",
             )
         codes = np.eye(self.n_actions + 1, self.n_actions)  # the last: no action
         last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
@@ -356,22 +360,28 @@ class HistoryTask(DerivedTask):
         return self.task.parameters() | {"history": self.steps}
 
 
+def check_n_actions(value: int, name: str) -> int:
+    """Return a number of last actions, 0 or a positive integer."""
+    if value is not False and value == 0:
+        return 0
+    return _checks.positive_integer(value, name)
+
+
 def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
     """Return rows and the rows that follow them in the same episode.
 
     Without episodes a row follows where it begins as the one before it ends.
     """
-    order = (
-        np.arange(len(log))
-        if log.episode is None
-        else np.argsort(log.episode, kind="stable")
-    )
+    if log.episode is None:
+        order = np.arange(len(log))
+    else:
+        order = np.argsort(log.episode, kind="stable")
     before = order[:-1]
     after = order[1:]
     gap = np.abs(log.state[after] - log.next_state[before])
-    follows = (gap <= 1e-6 * (1.0 + np.abs(log.state[after]))).all(axis=1) & ~(
-        log.terminated | log.truncated
-    )[before]
+    tolerance = CHAIN_TOLERANCE * (1.0 + np.abs(log.state[after]))
+    begins_there = (gap <= tolerance).all(axis=1)
+    follows = begins_there & ~(log.terminated | log.truncated)[before]
     if log.episode is not None:
         follows &= log.episode[after] == log.episode[before]
     return before[follows], after[follows]
@@ -408,12 +418,12 @@ class HistoryEffect:
         The share of the mean square that it explains.
     part : float
         The root mean square of what they explain, in the coordinate's unit. Rows far
-        from the others count with at most ``CLIP`` root mean squares.
+        from the others count with at most ``MAX_CLIPPED`` root mean squares.
     """
 
     r_squared: float = 0.0
     lag: int = 1
-    of: str = "action"
+    of: Kind = "action"
     lag_r_squared: float = 0.0
     part: float = 0.0
 
@@ -440,13 +450,12 @@ def history_effects(
     rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
-    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[
-        : MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS
-    ]
+    n_most = MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS
+    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[:n_most]
     best = [HistoryEffect() for _ in residuals.T]
     if len(rows) < MIN_ROWS:
         return best
-    # the last: no action
+    # the last code stands for no action, as row -1 stands for no row
     codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
     own = task.noiseless_step(log.state[rows], actions[rows]).next_state
     acted = []
@@ -463,20 +472,15 @@ def history_effects(
         if len(used) < MIN_ROWS:
             continue
         unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
-        y = (
-            np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP)
-            * is_usable[:, None]
-        )
-        blocks = {
-            (k, "action"): block[is_usable[rows]]
-            for k, block in enumerate(acted, start=1)
-        }
+        scaled = residuals / np.where(unit > 0, unit, 1.0)
+        y = np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None]
+        blocks: dict[tuple[int, Kind], Array] = {}
+        for k, block in enumerate(acted, start=1):
+            blocks[k, "action"] = block[is_usable[rows]]
         if has_residuals:
             padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
-            blocks |= {
-                (k, "residual"): padded[back]
-                for k, back in enumerate(earlier[used].T, start=1)
-            }
+            for k, back in enumerate(earlier[used].T, start=1):
+                blocks[k, "residual"] = padded[back]
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
         x = np.column_stack([codes[used], near])
         target = y[used]
@@ -484,19 +488,18 @@ def history_effects(
         plain = _errors_held_out([x], target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
         gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
-        shares = {
-            key: (
-                (plain - _errors_held_out([x, block], target, fold)).sum(axis=0) / total
-            )
-            for key, block in blocks.items()
-        }
+        shares: dict[tuple[int, Kind], Array] = {}
+        for key, block in blocks.items():
+            alone = _errors_held_out([x, block], target, fold)
+            shares[key] = (plain - alone).sum(axis=0) / total
         whole = gained.sum(axis=0) / total
         size = unit * np.sqrt((target**2).mean(axis=0))
-        is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
+        n_deviations = MIN_STANDARD_ERRORS * len(used) ** 0.5
+        is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
         is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
-        for k in np.flatnonzero(
-            is_sure & is_large & (whole > [effect.r_squared for effect in best])
-        ):
+        is_better = whole > [effect.r_squared for effect in best]
+        for target_number in np.flatnonzero(is_sure & is_large & is_better):
+            k = int(target_number)
             (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
             best[k] = HistoryEffect(
                 float(whole[k]),
@@ -508,27 +511,27 @@ def history_effects(
     return best
 
 
-def hidden_state(learned: Any) -> str:
+def hidden_state(learned: ResidualSimulator) -> str:
     """Describe which earlier action or residual matters most to a correction.
 
     Returns "" where the state is Markov.
     """
     hidden = [c for c in learned.coordinates if c.hidden]
-    # of equal ones, to rounding, in the task's order
+    # coordinates that are equal to rounding stay in the task's order
     hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))
     if not hidden:
         return ""
     effect = hidden[0].history
-    same = [
-        c.name
-        for c in hidden
-        if (c.history.lag, c.history.of) == (effect.lag, effect.of)
-    ]
+    key = (effect.lag, effect.of)
+    same = [c.name for c in hidden if (c.history.lag, c.history.of) == key]
     text = (
         f"the {effect.of} of {NUMBERS[effect.lag]} ago explains"
         f" {effect.lag_r_squared:.0%} of the residual in "
     )
-    text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
+    if len(same) > 1:
+        text += f"{', '.join(same[:-1])} and {same[-1]}"
+    else:
+        text += same[0]
     more = (
         f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together:"
         f" {effect.r_squared:.0%})"
@@ -555,9 +558,8 @@ def _mean_near(
         here = np.flatnonzero((actions == a) & (fold == f))
         there = np.flatnonzero((actions == a) & (fold != f) & is_usable)
         if len(here) and len(there) >= N_NEIGHBORS:
-            mean[here] = y[
-                neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))
-            ].mean(axis=1)
+            near = neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))
+            mean[here] = y[near].mean(axis=1)
     return mean
 
 
@@ -570,7 +572,6 @@ def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
         outside = fold != f
         gram = x[outside].T @ x[outside]
         gram[np.diag_indices_from(gram)] += 1e-6 * max(int(outside.sum()), 1)
-        errors[inside] = (
-            y[inside] - x[inside] @ np.linalg.solve(gram, x[outside].T @ y[outside])
-        ) ** 2
+        coefficients = np.linalg.solve(gram, x[outside].T @ y[outside])
+        errors[inside] = (y[inside] - x[inside] @ coefficients) ** 2
     return errors

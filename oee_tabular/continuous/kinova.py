@@ -34,6 +34,7 @@ they are shown.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -57,7 +58,7 @@ from oee_tabular.continuous.gen3 import (
     record_goals,
 )
 from oee_tabular.continuous.task import Moves
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, IntArray, Seed
 
 __all__ = [
     "COMMANDS",
@@ -77,20 +78,20 @@ __all__ = [
     "record_goals",
 ]
 
-# on the displacements of the other hands of the defensive simulator
+# of the displacements of the other hands of the defensive simulator
 FACTORS = (0.5, 1.5)
-WIDER = 2.0  # its scatter beside the simulator's
-EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
-TICKS = 10  # updates of the joint reference in a period
+SCATTER_FACTOR = 2.0  # of their scatter
+VISITING_DELTAS = (0.0, 0.3, 0.6, 1.0)  # of the policies that visit the states
+N_TICKS = 10  # updates of the joint reference in a period
 # s, kv / kp: servos damp the speed's error
-FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)
+FEED_FORWARD = np.repeat([0.05, 0.1], [4, 3])
 START = 0.01  # rad: how exactly the arm returns to its home pose
 JOINT_STATES = tuple(
     f"{kind}_{k}"
     for kind in ("joint", "speed", "reference")
     for k in range(1, gen3.N_JOINTS + 1)
 )
-AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
+N_STATES_AT_A_TIME = 2048  # whose trajectories MuJoCo returns in one array
 LIMITS = {
     "velocity_scale": (0.0, 3.0),
     "latency": (0.0, gen3.PERIOD),
@@ -174,13 +175,10 @@ class KinovaHand(gen3.HandTask):
         shift = np.empty((len(states), 3))
         for a in range(len(COMMANDS)):
             rows = chosen == a
-            shift[rows] = (
-                basis(states[rows]) @ self.coefficients[a]
-                + disturbance[rows] @ self.scatter[a].T
-            )
-        return Moves(
-            states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_)
-        )
+            noise = disturbance[rows] @ self.scatter[a].T
+            shift[rows] = basis(states[rows]) @ self.coefficients[a] + noise
+        never = np.zeros(len(states), dtype=np.bool_)
+        return Moves(states + shift, self.costs(states), never)
 
     def others(self) -> tuple[KinovaHand, ...]:
         """Return hands that go half and one and a half times as far.
@@ -190,15 +188,14 @@ class KinovaHand(gen3.HandTask):
         tuple of KinovaHand
             The hands, with twice the scatter: a target may lie between.
         """
-        wider = replace(self, scatter=WIDER * self.scatter, noise_points=2)
-        sources = [
-            self.source | {"scaled": factor, "scatter": WIDER} for factor in FACTORS
-        ]
-        parts = [factor * self.coefficients for factor in FACTORS]
-        return tuple(
-            replace(wider, coefficients=c, source=s)
-            for c, s in zip(parts, sources, strict=True)
-        )
+        scatter = SCATTER_FACTOR * self.scatter
+        wider = replace(self, scatter=scatter, noise_points=2)
+        hands = []
+        for factor in FACTORS:
+            source = self.source | {"scaled": factor, "scatter": SCATTER_FACTOR}
+            coefficients = factor * self.coefficients
+            hands.append(replace(wider, coefficients=coefficients, source=source))
+        return tuple(hands)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Draw some of ``starts``.
@@ -246,10 +243,10 @@ def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
     Its scatter is ``scatter`` steps.
     """
     coefficients = np.zeros((len(COMMANDS), 10, 3))
-    coefficients[:, 0] = (
-        _checks.number_in(scale, "scale", 0.0, 3.0) * gen3.STEP * COMMANDS
-    )
-    spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * gen3.STEP * np.eye(3)
+    factor = _checks.number_in(scale, "scale", 0.0, 3.0)
+    coefficients[:, 0] = factor * gen3.STEP * COMMANDS
+    share = _checks.number_in(scatter, "scatter", 0.0, 1.0)
+    spread = share * gen3.STEP * np.eye(3)
     source = {"ideal": True, "scale": scale, "scatter": scatter}
     return KinovaHand(
         coefficients,
@@ -272,7 +269,7 @@ def basis(states: Array) -> Array:
 
 
 @one_thread
-def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
+def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> KinovaHand:
     """Fit D_a and L_a to states of the arm, each stepped under all 27 commands.
 
     Parameters
@@ -307,18 +304,15 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
     """
     wanted = _checks.positive_integer(n_states, "n_states")
     rng = _checks.generator(seed)
-    each = max(1, -(-wanted // (25 * len(GOALS) * len(EXPLORED)))) + 1
-    visited = [
-        record(
-            arm.towards(g),
-            kinova_policy(g, delta),
-            n_episodes=each,
-            max_steps=25,
-            seed=rng,
-        ).state
-        for g in range(len(GOALS))
-        for delta in EXPLORED
-    ]
+    n_runs = len(GOALS) * len(VISITING_DELTAS)
+    each = max(1, -(-wanted // (HORIZON * n_runs))) + 1
+    visited = []
+    for g, delta in itertools.product(range(len(GOALS)), VISITING_DELTAS):
+        policy = kinova_policy(g, delta)
+        log = record(
+            arm.towards(g), policy, n_episodes=each, max_steps=HORIZON, seed=rng
+        )
+        visited.append(log.state)
     states = rng.permutation(np.concatenate(visited))[:wanted]
     rows, actions = each_action(arm, states)
     arrival = arm.step(rows, actions, rng).next_state[:, :3]
@@ -328,9 +322,8 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
         [np.linalg.lstsq(known, shifts[:, a])[0] for a in range(len(COMMANDS))]
     )
     left = shifts - np.einsum("nk,akd->nad", known, coefficients)
-    spread = np.einsum("nai,naj->aij", left, left) / max(
-        1, len(states) - known.shape[1]
-    )
+    n_free = max(1, len(states) - known.shape[1])  # degrees of freedom
+    spread = np.einsum("nai,naj->aij", left, left) / n_free
     scatter = np.linalg.cholesky(spread + 1e-14 * np.eye(3))
     starts = arm.initial_states(2000, rng)[:, :3]
     return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
@@ -426,25 +419,22 @@ class KinovaArm(gen3.HandTask):
         """
         joints, speeds, reference, before = np.split(states[:, 3:], [7, 14, 21], axis=1)
         command = COMMANDS[np.asarray(actions, dtype=np.int64)]
-        late = self.latency / gen3.PERIOD * TICKS
-        references = np.empty((len(states), TICKS, gen3.N_JOINTS))
-        for tick in range(TICKS):
-            # of this tick in which the new command is in force
+        late = self.latency / gen3.PERIOD * N_TICKS
+        references = np.empty((len(states), N_TICKS, gen3.N_JOINTS))
+        for tick in range(N_TICKS):
+            # the share of this tick in which the new command is in force
             share = min(1.0, max(0.0, tick + 1.0 - late))
-            velocity = (
-                self.velocity_scale
-                * gen3.SPEED
-                * (share * command + (1.0 - share) * before)
-            )
+            mixed = share * command + (1.0 - share) * before
+            velocity = self.velocity_scale * gen3.SPEED * mixed
             rates = gen3.resolved_rates(reference, velocity)
-            reference = reference + gen3.PERIOD / TICKS * rates
+            reference = reference + gen3.PERIOD / N_TICKS * rates
             references[:, tick] = reference + FEED_FORWARD * rates
         joints, speeds = self._follow(joints, speeds, references)
-        seen = end_effector(joints + self.encoder_noise * disturbance)
-        following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
-        return Moves(
-            following, self.costs(states), np.zeros(len(states), dtype=np.bool_)
-        )
+        measured = end_effector(joints + self.encoder_noise * disturbance)
+        parts = [measured, joints, speeds, reference, command]
+        following = np.concatenate(parts, axis=1)
+        never = np.zeros(len(states), dtype=np.bool_)
+        return Moves(following, self.costs(states), never)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Draw states at rest near the home pose.
@@ -462,13 +452,11 @@ class KinovaArm(gen3.HandTask):
             The states, N(0, 0.01^2) rad in each joint from the home pose.
         """
         joints = HOME + START * rng.standard_normal((n, gen3.N_JOINTS))
-        seen = end_effector(
-            joints + self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS))
-        )
-        return np.concatenate(
-            [seen, joints, np.zeros((n, gen3.N_JOINTS)), joints, np.zeros((n, 3))],
-            axis=1,
-        )
+        noise = self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS))
+        measured = end_effector(joints + noise)
+        speeds = np.zeros((n, gen3.N_JOINTS))
+        parts = [measured, joints, speeds, joints, np.zeros((n, 3))]
+        return np.concatenate(parts, axis=1)
 
     def on_features(self) -> KinovaHand:
         """Return the hand's position as a process of its own.
@@ -488,16 +476,15 @@ class KinovaArm(gen3.HandTask):
         dict
             The parameters.
         """
-        return {"data": STAND_IN} | {
-            name: getattr(self, name) for name in ("goal", *LIMITS)
-        }
+        values = {name: getattr(self, name) for name in ("goal", *LIMITS)}
+        return {"data": STAND_IN} | values
 
     def _follow(
         self, joints: Array, speeds: Array, references: Array
     ) -> tuple[Array, Array]:
         """Return angles and speeds after the servos have followed the references.
 
-        These are (n, TICKS, 7).
+        These are (n, N_TICKS, 7).
         """
         try:
             import mujoco
@@ -516,17 +503,16 @@ class KinovaArm(gen3.HandTask):
         model.actuator_biasprm[:, 1:3] *= self.gain
         mujoco.mj_setConst(model, mujoco.MjData(model))
         data = mujoco.MjData(model)
-        steps = round(gen3.PERIOD / TICKS / model.opt.timestep)
+        steps = round(gen3.PERIOD / N_TICKS / model.opt.timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         # time, angles, speeds, then what this model leaves empty
         start = np.zeros((len(joints), size))
         start[:, 1 : 1 + gen3.N_JOINTS] = joints
         start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS] = speeds
         found = np.empty((len(joints), 2 * gen3.N_JOINTS))
-        for low in range(0, len(joints), AT_A_TIME):
-            part = slice(low, low + AT_A_TIME)
-            states, _ = rollout.rollout(
-                model, data, start[part], np.repeat(references[part], steps, axis=1)
-            )
+        for low in range(0, len(joints), N_STATES_AT_A_TIME):
+            part = slice(low, low + N_STATES_AT_A_TIME)
+            controls = np.repeat(references[part], steps, axis=1)
+            states, _ = rollout.rollout(model, data, start[part], controls)
             found[part] = states[:, -1, 1 : 1 + 2 * gen3.N_JOINTS]
         return found[:, : gen3.N_JOINTS], found[:, gen3.N_JOINTS :]

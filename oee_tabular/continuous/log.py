@@ -25,7 +25,7 @@ from oee_tabular.data.frames import is_minari, minari_episodes
 from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
 
 # the columns of a log that is recorded by stepping
 RECORDED = (
@@ -61,11 +61,10 @@ class VectorFormat(Format):
         """Split each vector into one column for each coordinate."""
         flat: Columns = {}
         for name, column in columns.items():
-            flat |= (
-                {name: column}
-                if column.ndim == 1
-                else {f"{name}_{k}": part for k, part in enumerate(column.T)}
-            )
+            if column.ndim == 1:
+                flat[name] = column
+            else:
+                flat |= {f"{name}_{k}": part for k, part in enumerate(column.T)}
         return flat
 
     def from_table(self, flat: Columns, name: str) -> Columns:
@@ -90,7 +89,7 @@ class VectorFormat(Format):
                     f" {vector}_{missing} is missing"
                 )
                 raise ArgumentError(f"{name!r}", f"must have {text}")
-            # columns of kinds that have nothing in common
+            # columns of kinds without a common kind cannot be stacked
             with _files.parts_of(name, f"{vector}_0, ..."):
                 columns[vector] = np.stack([part[k] for k in range(len(part))], axis=1)
         if columns["state"].ndim == 1:
@@ -108,12 +107,14 @@ class VectorFormat(Format):
         whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
         absent = [column for column in self.required if column not in whole]
         if absent:
-            raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ... and"
-                " action (or action_0, ...); it has no "
-                f"{', no '.join(absent)}, only"
-                f" {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
-                + suggest_columns(("state_0", "next_state_0", *self.required), labels)
+            # a file may have any number of columns, with any characters in their names
+            present = _checks.escape_controls(", ".join(labels[:1000])[:300])
+            expected = ("state_0", "next_state_0", *self.required)
+            raise ArgumentError(
+                f"{name!r}",
+                "must have the columns state_0, ..., next_state_0, ... and action (or"
+                f" action_0, ...); it has no {', no '.join(absent)}, only"
+                f" {present or 'nothing'}{suggest_columns(expected, labels)}",
             )
 
     def check_episode(
@@ -240,8 +241,10 @@ class ContinuousTransitions(LogColumns):
             f": {int(self.terminated.sum())} terminated, {int(self.truncated.sum())}"
             " truncated"
         )
-        commands = f" are {self.action.shape[-1]}-dimensional commands"
-        text += f"; actions{f' 0..{self.action.max()}' if self.action.ndim == 1 else commands}"
+        if self.action.ndim == 1:
+            text += f"; actions 0..{self.action.max()}"
+        else:
+            text += f"; actions are {self.action.shape[-1]}-dimensional commands"
         if self.reward is not None:
             text += f"; rewards {self.reward.min():g} to {self.reward.max():g}"
         return f"ContinuousTransitions({text})"
@@ -251,7 +254,9 @@ class ContinuousTransitions(LogColumns):
         """Return the number d of coordinates of a state."""
         return int(self.state.shape[1])
 
-    def action_numbers(self, actions: object, *, strict: bool = False) -> IntArray:
+    def action_numbers(
+        self, actions: RealArrayLike, *, strict: bool = False
+    ) -> IntArray:
         """Return the number of the task's action that each row took.
 
         Parameters
@@ -342,7 +347,7 @@ def _vectors(value: object, name: str) -> Array:
     """Return a column of finite vectors as an array (n, d)."""
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
-        hint = " (a log of numbered states: Transitions)" * (array.ndim == 1)
+        hint = " (a log of numbered states: Transitions)" if array.ndim == 1 else ""
         raise ArgumentError(
             name, f"must have shape (n, d); it has shape {array.shape}{hint}"
         )
@@ -361,6 +366,6 @@ def _actions(value: object) -> NDArray[Any]:
             "must have shape (n,) (numbers) or (n, k) (commands); it has shape"
             f" {array.shape}",
         )
-    return (
-        check_array(array, "action") if array.ndim == 1 else _vectors(array, "action")
-    )
+    if array.ndim == 1:
+        return check_array(array, "action")
+    return _vectors(array, "action")

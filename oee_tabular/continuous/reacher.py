@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self, TypedDict, Unpack
 
 import numpy as np
 
@@ -36,22 +36,21 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, IntArray, Seed
 
-# m, kg/m^3, Bullet's collision margin in m
-RADIUS = 0.01
-DENSITY = 1000.0
-MARGIN = 0.04
+RADIUS = 0.01  # m
+DENSITY = 1000.0  # kg/m^3
+MARGIN = 0.04  # m, Bullet's collision margin
 STOP = 3.0  # rad, of the elbow
 LENGTH = 0.1  # m, the simulator's links
-TARGET = (0.1, 0.1)
-LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
+TARGET = (0.1, 0.1)  # m
+LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)  # of an action, in units of the gear
 INERTIAS = ("box", "capsule")
 # of the length, in the other arms of the defensive simulator
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 
-def link_bodies(length: float, inertia: str = "box") -> Array:
+def link_bodies(length: float, inertia: Literal["box", "capsule"] = "box") -> Array:
     """Return mass, centre and moment of both links and the tip, (3, 3).
 
     The columns are the mass (kg), the distance of the centre of mass from the joint (m)
@@ -94,6 +93,20 @@ def fingertip(states: Array, length: float) -> Array:
         ],
         axis=1,
     )
+
+
+class ReacherOptions(TypedDict, total=False):
+    """The parameters of ``Reacher`` apart from the length of its links."""
+
+    reward_length: float | None
+    target: tuple[float, float]
+    gear: float
+    damping: float
+    armature: float
+    drag: float
+    timestep: float
+    substeps: int
+    inertia: Literal["box", "capsule"]
 
 
 @dataclass(frozen=True)
@@ -174,7 +187,7 @@ class Reacher(ContinuousTask):
     drag: float = 0.04
     timestep: float = 0.0165
     substeps: int = 1
-    inertia: str = "box"
+    inertia: Literal["box", "capsule"] = "box"
     name: str = field(default="Reacher", init=False)
 
     def __post_init__(self) -> None:
@@ -192,12 +205,14 @@ class Reacher(ContinuousTask):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
         _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
         _checks.positive_integer(self.substeps, "substeps")
-        high = np.array([1.0, 1.0, STOP, *[4.0 if self.damping > 0 else 40.0] * 2])
+        # rad/s, the usual speeds: without damping the links turn much faster
+        speed = 4.0 if self.damping > 0 else 40.0
+        high = np.array([1.0, 1.0, STOP, speed, speed])
         object.__setattr__(self, "feature_low", freeze(-high))
         object.__setattr__(self, "feature_high", freeze(high))
 
     @classmethod
-    def tamed(cls, length: float = LENGTH, **changes: Any) -> Self:
+    def tamed(cls, length: float = LENGTH, **changes: Unpack[ReacherOptions]) -> Self:
         """Make the variant for tests, with damping and longer actions.
 
         Parameters
@@ -216,7 +231,9 @@ class Reacher(ContinuousTask):
         -----
         A horizon of 25 is the paper's 1.65 s.
         """
-        return cls(length, **({"damping": 0.01, "substeps": 4} | changes))
+        options: ReacherOptions = {"damping": 0.01, "substeps": 4}
+        options.update(changes)
+        return cls(length, **options)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """Take one step from each state.
@@ -235,12 +252,10 @@ class Reacher(ContinuousTask):
         Moves
             The next states and the rewards; no state is terminal.
         """
-        following = self.advance(
-            states, self.actions[np.asarray(actions, dtype=np.int64)]
-        )
-        reward = self.reward_of(
-            self.reward_terms(states), actions, self.reward_terms(following)
-        )
+        commands = self.actions[np.asarray(actions, dtype=np.int64)]
+        following = self.advance(states, commands)
+        before = self.reward_terms(states)
+        reward = self.reward_of(before, actions, self.reward_terms(following))
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
@@ -273,11 +288,8 @@ class Reacher(ContinuousTask):
             m12 = lower + cross * cosine
             m11 = upper + lower + 2.0 * cross * cosine + self.armature
             m22 = lower + self.armature
-            f1 = (
-                torques[:, 0]
-                + cross * sine * (2.0 * w1 * w2 + w2 * w2)
-                - self.damping * w1
-            )
+            coriolis = cross * sine * (2.0 * w1 * w2 + w2 * w2)
+            f1 = torques[:, 0] + coriolis - self.damping * w1
             f2 = torques[:, 1] - cross * sine * w1 * w1 - self.damping * w2
             if self.drag > 0.0:
                 first, second = self._drag(cosine, w1, w1 + w2)
@@ -334,9 +346,8 @@ class Reacher(ContinuousTask):
             The distances in m.
         """
         length = self.length if self.reward_length is None else self.reward_length
-        return np.asarray(
-            np.hypot(*(fingertip(states, length) - np.array(self.target)).T)
-        )
+        apart = fingertip(states, length) - np.array(self.target)
+        return np.asarray(np.hypot(*apart.T))
 
     def reward_terms(self, states: Array) -> Array:
         """Compute the functions of a state in which the reward is linear.
@@ -373,10 +384,9 @@ class Reacher(ContinuousTask):
             The rewards.
         """
         size = np.abs(self.actions[actions])
-        paid = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * (
-            size * (1.0 + after[:, 1:3])
-        ).sum(axis=1)
-        return np.asarray(paid - 0.1 * after[:, 3])
+        cost = (size * (1.0 + after[:, 1:3])).sum(axis=1)
+        reward = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * cost
+        return np.asarray(reward - 0.1 * after[:, 3])
 
     def others(self) -> tuple[Reacher, ...]:
         """Return arms whose links are 0.5, 0.7, 1.4 and 2 times as long.
@@ -466,9 +476,9 @@ class Reacher(ContinuousTask):
         dict
             The parameters.
         """
-        return {
-            own.name: getattr(self, own.name) for own in fields(self) if own.init
-        } | {"target": list(self.target)}
+        names = [own.name for own in fields(self) if own.init]
+        values = {name: getattr(self, name) for name in names}
+        return values | {"target": list(self.target)}
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
@@ -487,12 +497,8 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
             f" links of {length:g} m; it is {np.hypot(x, y):g} m away",
         )
     q2 = float(np.arccos(bend))
-    return (
-        float(
-            np.arctan2(y, x) - np.arctan2(far * np.sin(q2), length + far * np.cos(q2))
-        ),
-        q2,
-    )
+    turn = np.arctan2(far * np.sin(q2), length + far * np.cos(q2))
+    return float(np.arctan2(y, x) - turn), q2
 
 
 @dataclass(frozen=True)
@@ -561,7 +567,7 @@ reacher_policy = ReacherPolicy
 
 
 def reacher_log(
-    task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
+    task: Reacher, n: int, *, max_steps: int = 150, seed: Seed = None
 ) -> ContinuousTransitions:
     """Record the paper's data: transitions by pi_delta, delta = 0, 0.1, ..., 1.
 

@@ -13,6 +13,7 @@ ridge)^-1 sum_g k_g G_Cy, and the squared error on a group is y'y - 2 w'G_Cy + w
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,17 +36,19 @@ from oee_tabular.continuous.task import (
     require_log_of,
     shortest,
 )
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
 ROWS = 256  # at a time, in a kernel: their inputs stay in the nearest cache
 BLOCK = 4096  # rows at a time
 FOLDS = 4
-LARGEST = 48e6  # bytes of the Gram matrices
-FOURIER = 128  # random frequencies
-PAIRS = 24  # inputs whose products are functions too
-RIDGES = (1e-3, 1e-5, 1e-9)  # of a column's mean square
+MAX_GRAM_BYTES = 48e6
+N_FREQUENCIES = 128  # of random cosines
+MAX_PAIRED_INPUTS = 24  # above, products of inputs are no functions
+RIDGES = (1e-3, 1e-5, 1e-9)  # shares of a column's mean square
 N_GROUPS = 40  # of whole episodes, by which a linear model is resampled
-EQUAL = 1e-10  # shares of a target's mean square that are no difference
+EQUAL_SHARE = (
+    1e-10  # of a target's mean square: two errors that differ by less are equal
+)
 
 
 @njit(cache=True)
@@ -189,11 +192,11 @@ class Functions:
         )
         m = len(kept)
         n_x = int((kept < smooth.shape[1] + n_commands).sum())
-        n_waves = FOURIER if m > 0 else 0
+        n_waves = N_FREQUENCIES if m > 0 else 0
         reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
         self._frequencies = rng.standard_normal((m, n_waves)) * reach
         self._phases = rng.uniform(0.0, 2.0 * np.pi, n_waves)
-        first, second = np.triu_indices(m if m <= PAIRS else 0)
+        first, second = np.triu_indices(m if m <= MAX_PAIRED_INPUTS else 0)
         linear = np.arange(1 + m)
         q = 1 + m + len(first)
         # 0 is the constant 1
@@ -212,10 +215,10 @@ class Functions:
             "Fourier": np.arange(self.width),
         }
         self.nested: dict[str, IntArray] = {}
-        for name, columns in classes.items():  # classes that are the same here are one
-            if not any(
-                np.array_equal(columns, other) for other in self.nested.values()
-            ):
+        for name, columns in classes.items():
+            # without displacements or products some classes are the same
+            same = [np.array_equal(columns, other) for other in self.nested.values()]
+            if not any(same):
                 self.nested[name] = columns
 
     def __call__(self, states: Array, actions: IntArray, displacement: Array) -> Array:
@@ -319,9 +322,8 @@ class Grams:
         for number in np.unique((group * n_actions + actions)[is_used]):
             rows = np.flatnonzero(is_used & (group * n_actions + actions == number))
             for at in np.array_split(rows, 1 + len(rows) // BLOCK):
-                both = np.column_stack(
-                    [functions(states[at], actions[at], displacement[at]), targets[at]]
-                )
+                phi = functions(states[at], actions[at], displacement[at])
+                both = np.column_stack([phi, targets[at]])
                 self.g[divmod(number, n_actions)] += both.T @ both
         self.mean_square = self.g.sum(axis=(0, 1)).diagonal() / max(
             float(self.g[..., 0, 0].sum()), 1.0
@@ -347,14 +349,12 @@ class Grams:
             if len(columns) == 0:
                 return right
             scaled = gram[np.ix_(columns, columns)] / np.outer(size, size)
-            scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * max(
-                float(gram[0, 0]), 1.0
-            )
+            n_rows = max(float(gram[0, 0]), 1.0)  # the first column is 1
+            scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * n_rows
             factor = linalg.cho_factor(scaled, check_finite=False)
-            return np.asarray(
-                linalg.cho_solve(factor, right / size[:, None], check_finite=False)
-                / size[:, None]
-            )
+            scaled_right = right / size[:, None]
+            found = linalg.cho_solve(factor, scaled_right, check_finite=False)
+            return np.asarray(found / size[:, None])
 
         pooled = solve_one(gram.sum(axis=0))
         return np.stack(
@@ -375,21 +375,22 @@ class Grams:
         ]
         tried: list[tuple[str, bool, float, Array]] = []
         for name, columns in self.nested.items():
-            options = [
-                (per_action, ridge)
-                for per_action in (False, True)[
-                    : 1 + (len(columns) > 0 and n_actions > 1)
-                ]
-                for ridge in (RIDGES if len(columns) > 1 else RIDGES[-1:])
-            ]
+            has_actions = len(columns) > 0 and n_actions > 1
+            ways = (False, True) if has_actions else (False,)
+            ridges = RIDGES if len(columns) > 1 else RIDGES[-1:]
+            options = list(itertools.product(ways, ridges))
             errors = self.held_out_errors(columns, options, fold, grams)
             tried += [
                 (name, *option, error)
                 for option, error in zip(options, errors, strict=True)
             ]
-        tried.sort(
-            key=lambda c: (len(self.nested[c[0]]) * (n_actions if c[1] else 1), -c[2])
-        )
+
+        def complexity(candidate: tuple[str, bool, float, Array]) -> tuple[int, float]:
+            """Return the number of coefficients, and minus the ridge."""
+            name, per_action, ridge, _ = candidate
+            return len(self.nested[name]) * (n_actions if per_action else 1), -ridge
+
+        tried.sort(key=complexity)
         # (tried, groups, targets)
         every = np.array([errors for _, _, _, errors in tried])
         fits = []
@@ -397,27 +398,25 @@ class Grams:
             errors = every[:, :, k]
             whole = self.g[:, :, self.p + k, self.p + k].sum()
             excess = errors - errors[errors.sum(axis=1).argmin()]
-            tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL * whole
+            tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL_SHARE * whole
             best = int(np.argmax(excess.sum(axis=1) <= tolerance))
             gain = errors[0] - errors[best]  # the first is g = 0
             error = float(np.sqrt(n_groups) * gain.std())
-            t = (
-                float(gain.sum()) / error
-                if error > 0
-                else (np.inf if gain.sum() > 0 else 0.0)
-            )
+            if error > 0:
+                t = float(gain.sum()) / error
+            else:
+                t = np.inf if gain.sum() > 0 else 0.0
             name, per_action, ridge, _ = tried[best]
-            fits.append(
-                Fit(
-                    name,
-                    per_action,
-                    ridge,
-                    self.nested[name],
-                    np.empty(0),
-                    float(errors[best].sum()),
-                    t,
-                )
+            fit = Fit(
+                kind=name,
+                per_action=per_action,
+                ridge=ridge,
+                columns=self.nested[name],
+                coefficients=np.empty(0),  # until ``refit``
+                error=float(errors[best].sum()),
+                t_statistic=t,
             )
+            fits.append(fit)
         return self.refit(fits)
 
     def held_out_errors(
@@ -452,11 +451,10 @@ class Grams:
 
         A bootstrap has such weights.
         """
-        gram = (
-            self.g.sum(axis=0)
-            if weights is None
-            else np.tensordot(weights, self.g, axes=1)
-        )
+        if weights is None:
+            gram = self.g.sum(axis=0)
+        else:
+            gram = np.tensordot(weights, self.g, axes=1)
         ways = [
             (fit.columns, slice(k, k + 1), fit.ridge, fit.per_action)
             for k, fit in enumerate(fits)
@@ -479,11 +477,11 @@ def episode_groups(
         number = np.arange(n) * 40 // n
     else:
         number = np.unique(episode, return_inverse=True)[1].astype(np.int64)
-    most = int(np.clip(LARGEST / (8.0 * n_actions * width**2), 8, 40))
+    most = int(np.clip(MAX_GRAM_BYTES / (8.0 * n_actions * width**2), 8, 40))
     return np.asarray(number % most, dtype=np.int64)
 
 
-def draw_groups(n_groups: int, seed: Any) -> Array:
+def draw_groups(n_groups: int, seed: Seed) -> Array:
     """Draw groups with replacement and return how often each is drawn, (n_groups,)."""
     drawn = _checks.generator(seed).integers(n_groups, size=n_groups)
     return np.bincount(drawn, minlength=n_groups).astype(np.float64)
@@ -553,9 +551,9 @@ class LinearModel(DerivedTask):
         self._y = shortest(log.next_state - log.state, periods)
         low = log.next_state.min(axis=0)
         high = log.next_state.max(axis=0)
-        # an angle may go round
+        # an angle may turn without end
         self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])
-        # none of them empty
+        # there are no more groups than rows, so that none of them is empty
         self._group = np.arange(len(log)) * min(N_GROUPS, len(log)) // len(log)
         if log.episode is not None and len(np.unique(log.episode)) >= N_GROUPS:
             self._group = np.unique(log.episode, return_inverse=True)[1] % N_GROUPS
@@ -587,7 +585,7 @@ class LinearModel(DerivedTask):
             "np,npk->nk", self._x, self.coefficients[self._actions]
         )
 
-    def resampled(self, seed: Any = None) -> LinearModel:
+    def resampled(self, seed: Seed = None) -> LinearModel:
         """Return the model of a bootstrap's log.
 
         Parameters
@@ -628,17 +626,14 @@ class LinearModel(DerivedTask):
         following = np.array(states, dtype=np.float64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)
-            following[at] += (
-                x[at] @ self.coefficients[a]
-                + self.residuals[draw_rows(self._pools[a], uniform[at])]
-            )
+            drawn = self.residuals[draw_rows(self._pools[a], uniform[at])]
+            following[at] += x[at] @ self.coefficients[a] + drawn
         following = np.clip(following, *self._limits)
         reward = self.task.reward_between(states, actions, following)
         if reward is None:
             reward = self.task.noiseless_step(states, actions).reward
-        return Moves(
-            following, reward, self.task.terminated(following) & self.terminates
-        )
+        ends = self.task.terminated(following) & self.terminates
+        return Moves(following, reward, ends)
 
     def parameters(self) -> dict[str, Any]:
         """Return the task's parameters, and the number of transitions of the log.

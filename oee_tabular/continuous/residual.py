@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 import itertools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtr
@@ -47,15 +47,16 @@ from oee_tabular.continuous.task import (
 )
 from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
-OUTLYING = 8.0  # robust deviations: such residuals no smooth g should be fitted to
-MAX_OUTLYING = 0.2  # share of rows that may be so
+# robust deviations: g is not fitted to residuals beyond, as of contacts
+OUTLYING_DEVIATIONS = 8.0
+MAX_OUTLYING_SHARE = 0.2  # of the rows: where there are more, none is outlying
 N_ROUNDS = 3  # of leaving them out and fitting again
-ROUNDING = 1e-9  # of a turn
-SURE = 3.0  # standard errors of what g explains: the target differs
-# share of what is left over that history explains: the state is not all that decides
-HIDDEN = 0.1
-SMALL = 0.03  # of a step's own deviation: less is no hidden state to speak of
-ALIKE = 0.05  # share by which two scatters that are the same may differ
+ANGLE_ROUNDING = 1e-9  # in units of an angle
+MIN_STANDARD_ERRORS = 3.0  # of what g explains: beyond, the target differs
+# of what is left over: where history explains more, the state is not all that decides
+MIN_HIDDEN_SHARE = 0.1
+MIN_HIDDEN_DEVIATIONS = 0.03  # of a step's own deviation: less is no hidden state
+MAX_SCATTER_DIFFERENCE = 0.05  # share by which two equal scatters may differ
 UNITS = {  # of a column, and the factors to the simulator's
     "degrees for radians": np.pi / 180.0,
     "radians for degrees": 180.0 / np.pi,
@@ -66,10 +67,9 @@ UNITS = {  # of a column, and the factors to the simulator's
 }
 N_UNIT_ROWS = 500  # of the log by which units are judged
 MAX_UNIT_COORDINATES = 8  # beyond, units are not judged
-# shares of a displacement, by which a step is missed and by which it is met in another
-# unit
-MISSED = 0.5
-MET = 0.1
+# shares of a displacement: more is missed in a wrong unit, less in the right one
+MIN_WRONG_UNIT_MISS = 0.5
+MAX_RIGHT_UNIT_MISS = 0.1
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Coordinate:
     left_over: float
     displacement: float
     explained: float
-    scatter: str
+    scatter: Literal["none", "simulator", "log"]
     history: HistoryEffect
 
     @property
@@ -123,11 +123,10 @@ class Coordinate:
 
         It does where g is surely not zero, or where the scatter is another.
         """
-        is_alike = (
-            abs(self.left_over - self.simulator_scatter)
-            <= ALIKE * self.simulator_scatter
-        )
-        return self.t_statistic > SURE or (self.scatter == "log" and not is_alike)
+        difference = abs(self.left_over - self.simulator_scatter)
+        is_alike = difference <= MAX_SCATTER_DIFFERENCE * self.simulator_scatter
+        is_sure = self.t_statistic > MIN_STANDARD_ERRORS
+        return is_sure or (self.scatter == "log" and not is_alike)
 
     @property
     def unexplained(self) -> float:
@@ -145,10 +144,8 @@ class Coordinate:
 
         Something that is not in the state then decides the next one.
         """
-        return (
-            self.history.r_squared > HIDDEN
-            and self.history.part > SMALL * self.displacement
-        )
+        least = MIN_HIDDEN_DEVIATIONS * self.displacement
+        return self.history.r_squared > MIN_HIDDEN_SHARE and self.history.part > least
 
 
 class ResidualSimulator(DerivedTask):
@@ -233,15 +230,13 @@ class ResidualSimulator(DerivedTask):
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
         actions = log.action_numbers(task.actions)
         own = task.noiseless_step(log.state, actions)
-        self._periods, self._start = (
-            find_periods(task, own.next_state),
-            np.resize(task.feature_low, self.n_state),
-        )
-        low = self._start - ROUNDING
-        high = np.resize(task.feature_high, self.n_state) + ROUNDING
-        self._wraps = (self._periods > 0) & (
-            (own.next_state >= low) & (own.next_state <= high)
-        ).all(axis=0)
+        self._periods = find_periods(task, own.next_state)
+        self._start = np.resize(task.feature_low, self.n_state)
+        low = self._start - ANGLE_ROUNDING
+        high = np.resize(task.feature_high, self.n_state) + ANGLE_ROUNDING
+        # angles that the task itself keeps within one turn
+        is_inside = (own.next_state >= low) & (own.next_state <= high)
+        self._wraps = (self._periods > 0) & is_inside.all(axis=0)
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log, actions, self._periods)
@@ -285,14 +280,12 @@ class ResidualSimulator(DerivedTask):
             log.next_state - np.where(is_free[:, None], free, own.next_state),
             self._periods,
         )
-        if (
-            log.reward is not None
-            and self.task.reward_between(log.state, actions, log.next_state) is None
-        ):
-            is_alike = own.terminated == log.terminated
-            self.residuals = np.column_stack(
-                [self.residuals, np.where(is_alike, log.reward - own.reward, 0.0)]
-            )
+        if log.reward is not None:
+            known = self.task.reward_between(log.state, actions, log.next_state)
+            if known is None:
+                is_alike = own.terminated == log.terminated
+                of_reward = np.where(is_alike, log.reward - own.reward, 0.0)
+                self.residuals = np.column_stack([self.residuals, of_reward])
         arguments = log.state, actions, self._displacements(log.state, actions, free)
         self._functions = Functions(self.task, *arguments, rng)
         self._group = episode_groups(
@@ -319,9 +312,8 @@ class ResidualSimulator(DerivedTask):
         )
         stopped = self._clip(self._stops.push(following))
         self._stops.hold(stopped)
-        self.left_over[~is_free, :d] = shortest(
-            log.next_state - stopped, self._periods
-        )[~is_free]
+        left = shortest(log.next_state - stopped, self._periods)
+        self.left_over[~is_free, :d] = left[~is_free]
         return last
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
@@ -343,11 +335,10 @@ class ResidualSimulator(DerivedTask):
         """
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * root_mean_square(self.residuals)
-        is_far = np.abs(left) > OUTLYING * np.maximum(size, floor) + 1e-300
-        is_far &= is_far.mean(axis=0) <= MAX_OUTLYING
-        return np.asarray(
-            is_far.any(axis=1) & (is_far.any(axis=1).mean() <= MAX_OUTLYING)
-        )
+        is_far = np.abs(left) > OUTLYING_DEVIATIONS * np.maximum(size, floor) + 1e-300
+        is_far &= is_far.mean(axis=0) <= MAX_OUTLYING_SHARE
+        is_row_far = is_far.any(axis=1)
+        return np.asarray(is_row_far & (is_row_far.mean() <= MAX_OUTLYING_SHARE))
 
     def _set_fits(self, fits: list[Fit]) -> None:
         """Take these fits for g."""
@@ -381,11 +372,11 @@ class ResidualSimulator(DerivedTask):
         squares = (self.residuals**2).sum(axis=0)
         rough = (self.left_over[~is_smooth] ** 2).sum(axis=0)
         moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
-        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[
-            : len(left)
-        ]
-        effects = [HistoryEffect()] * len(left)
-        if (left * scatter.drawn > SMALL * displaced).any():
+        reward_deviation = 0.0 if log.reward is None else log.reward.std()
+        displaced = np.append(moved, reward_deviation)[: len(left)]
+        effects = [HistoryEffect() for _ in left]
+        least = MIN_HIDDEN_DEVIATIONS * displaced
+        if (left * scatter.drawn > least).any():
             effects = history_effects(
                 self.task,
                 log,
@@ -394,38 +385,31 @@ class ResidualSimulator(DerivedTask):
                 self._group,
                 is_smooth=is_smooth,
                 is_free=is_free,
-                least=SMALL * displaced,
+                least=least,
             )
-        return tuple(
-            Coordinate(
-                name,
-                fit.kind,
-                fit.per_action,
-                fit.t_statistic,
-                float(scatter.spread[k]),
-                float(residual[k]),
-                float(left[k]),
-                float(displaced[k]),
-                (
-                    float(1.0 - (fit.error + rough[k]) / squares[k])
-                    if squares[k] > 0
-                    else 0.0
-                ),
-                (
-                    "simulator"
-                    if scatter.own[k]
-                    else "log"
-                    if scatter.drawn[k]
-                    else "none"
-                ),
-                effects[k] if scatter.drawn[k] else HistoryEffect(),
+        coordinates = []
+        names = (*self.state_names, "reward")
+        for k, (name, fit) in enumerate(zip(names, self.fits, strict=False)):
+            explained = 0.0
+            if squares[k] > 0:
+                explained = float(1.0 - (fit.error + rough[k]) / squares[k])
+            coordinate = Coordinate(
+                name=name,
+                kind=fit.kind,
+                per_action=fit.per_action,
+                t_statistic=fit.t_statistic,
+                simulator_scatter=float(scatter.spread[k]),
+                residual_scatter=float(residual[k]),
+                left_over=float(left[k]),
+                displacement=float(displaced[k]),
+                explained=explained,
+                scatter=scatter.source(k),
+                history=effects[k] if scatter.drawn[k] else HistoryEffect(),
             )
-            for k, (name, fit) in enumerate(
-                zip((*self.state_names, "reward"), self.fits, strict=False)
-            )
-        )
+            coordinates.append(coordinate)
+        return tuple(coordinates)
 
-    def resampled(self, seed: Any = None) -> ResidualSimulator:
+    def resampled(self, seed: Seed = None) -> ResidualSimulator:
         """Return the simulator corrected by a bootstrap's log.
 
         Parameters
@@ -486,7 +470,7 @@ class ResidualSimulator(DerivedTask):
             Whether no data support g there.
         """
         features = self.task.features(states)
-        (low, high) = self._range
+        low, high = self._range
         return np.asarray(((features < low) | (features > high)).any(axis=1))
 
     @one_thread
@@ -511,26 +495,21 @@ class ResidualSimulator(DerivedTask):
         actions = np.asarray(actions, dtype=np.int64)
         scatter = self._scatter
         own = self.task.noiseless_step(states, actions)
-        free = (
-            own.next_state
-            if self._is_zero
-            else self._stops.free(self.task, states, actions, own.next_state)
-        )
+        free = own.next_state
+        if not self._is_zero:
+            free = self._stops.free(self.task, states, actions, own.next_state)
         added = self._correction(states, actions, free)
         if scatter.drawn.any():
             added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.push(free + added[:, : self.n_state])
         if scatter.own.any():
-            noisy = self.task.moves(
-                states, actions, disturbance[:, : self.task.n_disturbances]
-            )
-            following += np.where(
-                scatter.own[: self.n_state], noisy.next_state - own.next_state, 0.0
-            )
+            xi = disturbance[:, : self.task.n_disturbances]
+            noise = self.task.moves(states, actions, xi).next_state - own.next_state
+            following += np.where(scatter.own[: self.n_state], noise, 0.0)
         if self._wraps.any() or np.isfinite(self._stops.bounds).any():
-            following = np.where(
-                following != own.next_state, self._clip(following), following
-            )
+            # what the correction left as it was keeps the simulator's bits
+            is_changed = following != own.next_state
+            following = np.where(is_changed, self._clip(following), following)
         self._stops.hold(following)
         ends = own.terminated
         if self.terminates and self._knows_ends:
@@ -538,9 +517,8 @@ class ResidualSimulator(DerivedTask):
         elif self.terminates:
             every = np.arange(len(self._known_ends))
             ends = self._known_ends[self._neighbors.find(following, every, key=None)]
-        return Moves(
-            following, self._reward(states, actions, following, ends, own, added), ends
-        )
+        reward = self._reward(states, actions, following, ends, own, added)
+        return Moves(following, reward, ends)
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """Take one random step from each state.
@@ -572,9 +550,8 @@ class ResidualSimulator(DerivedTask):
     def _clip(self, following: Array) -> Array:
         """Return next states within the stops and, if the task's are, within a turn."""
         inside = np.clip(following, *self._stops.bounds)
-        turned = self._start + (inside - self._start) % np.where(
-            self._wraps, self._periods, 1.0
-        )
+        periods = np.where(self._wraps, self._periods, 1.0)
+        turned = self._start + (inside - self._start) % periods
         return np.where(self._wraps, turned, inside)
 
     def _reward(
@@ -594,18 +571,16 @@ class ResidualSimulator(DerivedTask):
         known = self.task.reward_between(states, actions, following)
         if known is not None:
             return known
-        reward = (
-            own.reward + added[:, -1]
-            if added.shape[1] > self.n_state
-            else own.reward.copy()
-        )
+        if added.shape[1] > self.n_state:
+            reward = own.reward + added[:, -1]
+        else:
+            reward = own.reward.copy()
         for end in (False, True):
             rows = np.flatnonzero((ends == end) & (own.terminated != end))
             alike = np.flatnonzero(self._known_ends == end)
             if len(rows) and len(alike):
-                reward[rows] = self._known_rewards[
-                    self._neighbors.find(following[rows], alike, key=end)
-                ]
+                nearest = self._neighbors.find(following[rows], alike, key=end)
+                reward[rows] = self._known_rewards[nearest]
         return reward
 
     def parameters(self) -> dict[str, Any]:
@@ -648,26 +623,22 @@ def other_units(
         after = factors * log.next_state[rows]
         with np.errstate(all="ignore"):  # states that no simulator was made for
             own = task.noiseless_step(before, actions[rows]).next_state
-            left, moved = (
-                (shortest(x, periods) ** 2).sum(axis=0)
-                for x in (after - own, after - before)
-            )
-        return np.asarray(
-            np.where(
-                moved > 0, np.minimum(1.0, left / np.where(moved > 0, moved, 1.0)), 0.0
-            )
-        )
+            left = (shortest(after - own, periods) ** 2).sum(axis=0)
+            moved = (shortest(after - before, periods) ** 2).sum(axis=0)
+        share = np.minimum(1.0, left / np.where(moved > 0, moved, 1.0))
+        return np.asarray(np.where(moved > 0, share, 0.0))
 
     plain = miss(np.ones(d))
-    is_missed = plain > MISSED
+    is_missed = plain > MIN_WRONG_UNIT_MISS
     least = plain.sum()
     text = ""
-    pairs = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
-    for columns, (unit, factor) in itertools.product(
-        pairs if is_missed.any() else (), UNITS.items()
-    ):
+    if not is_missed.any():
+        return ""
+    groups = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
+    for columns, (unit, factor) in itertools.product(groups, UNITS.items()):
         missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
-        if (is_missed & (missed < MET)).any() and missed.sum() < least:
+        is_met = is_missed & (missed < MAX_RIGHT_UNIT_MISS)
+        if is_met.any() and missed.sum() < least:
             names = " and ".join(task.state_names[k] for k in columns)
             least = missed.sum()
             text = f"{names} ({unit})"

@@ -35,6 +35,7 @@ from oee_tabular.continuous.episodes import (
     monte_carlo_value,
 )
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.regression import LinearModel
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
@@ -54,12 +55,11 @@ from oee_tabular.exceptions import ArgumentError, DiscretizationWarning, NoCells
 from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.typing import Array, Seed
 
-# share of a policy's transitions beyond the log's range: more is said
-MAX_BEYOND = 0.02
-# share of the log's transitions without support that the rows on the cells may leave
-# out
-MAX_LEFT_OUT = 0.01
-QUANTILE = 1.96  # of the intervals that estimators set themselves
+# of a policy's transitions that start beyond the log's range: a finding says more
+MAX_BEYOND_SHARE = 0.02
+# of the log's transitions without support that the rows on the cells may leave out
+MAX_SHARE_LEFT_OUT = 0.01
+QUANTILE = 1.96  # standard errors, of the intervals that estimators set themselves
 BEYOND = (
     "{} of the policy's transitions start outside the range of the recorded states. The"
     " correction is a guess there, and no interval counts its error."
@@ -111,7 +111,7 @@ class Rollouts:
             task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed
         )
 
-    def _returns(
+    def _sample_returns(
         self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int
     ) -> Array:
         """Sample returns (len(tasks), at most n) with common random numbers."""
@@ -122,7 +122,10 @@ class Rollouts:
         )
 
     def estimate(
-        self, learned: Any, policy: StatePolicy, status: str = "ok"
+        self,
+        learned: ResidualSimulator | LinearModel,
+        policy: StatePolicy,
+        status: str = "ok",
     ) -> Estimate:
         """Estimate J in a task learned from the log.
 
@@ -146,7 +149,6 @@ class Rollouts:
         """
         mc = self.value(learned, policy)
         is_ok = status == "ok"
-        is_corrected = isinstance(learned, ResidualSimulator)
         facts: dict[str, Any] = {
             "standard_error_of": "rollouts",
             "n_rollouts": mc.n_episodes,
@@ -156,9 +158,9 @@ class Rollouts:
         findings: tuple[Finding, ...] = ()
         if is_ok:
             rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
-            returns = self._returns(
-                [learned, *map(learned.resampled, rngs)], policy, self.paths
-            )
+            refitted = [learned.resampled(rng) for rng in rngs]
+            tasks = [learned, *refitted]
+            returns = self._sample_returns(tasks, policy, self.paths)
             of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
             error = float(np.hypot(of_log, mc.standard_error))
             reach = error * float(stdtrit(self.refits - 1, 0.975))
@@ -169,7 +171,7 @@ class Rollouts:
                 "standard_error_of_the_log": of_log,
                 "interval_method": "refits",
             }
-        if is_corrected:
+        if isinstance(learned, ResidualSimulator):
             counts = np.zeros(2)
 
             def watch(states: Array) -> Array:
@@ -177,17 +179,13 @@ class Rollouts:
                 counts[:] += learned.beyond(states).sum(), len(states)
                 return policy(states)
 
-            self._returns([learned], watch, 200)
+            self._sample_returns([learned], watch, 200)
             share = float(counts[0] / counts[1])
-            explained = ", ".join(
-                f"{c.name} {c.explained:.3g}"
-                for c in learned.coordinates
-                if c.kind != "zero"
-            )
+            corrected = [c for c in learned.coordinates if c.kind != "zero"]
+            explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in corrected)
             facts |= {"explained": explained, "beyond_log": share}
-            findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) * (
-                share > MAX_BEYOND
-            )
+            if share > MAX_BEYOND_SHARE:
+                findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),)
         return Estimate(
             mc.value,
             error,
@@ -196,7 +194,7 @@ class Rollouts:
             status,
             findings,
             is_normal=is_ok,
-            is_headline=is_corrected and is_ok,
+            is_headline=is_ok and isinstance(learned, ResidualSimulator),
         )
 
 
@@ -272,23 +270,17 @@ def corrected_value(
     """
     _checks.instance(corrected, ResidualSimulator, "corrected")
     _checks.function(policy, "policy")
-    numbers = {
-        "horizon": horizon,
-        "n_episodes": n_episodes,
-        "refits": refits,
-        "paths": paths,
-    }
-    steps, episodes, n_refits, each = (
-        _checks.positive_integer(value, name) for name, value in numbers.items()
-    )
+    steps = _checks.positive_integer(horizon, "horizon")
+    episodes = _checks.positive_integer(n_episodes, "n_episodes")
+    n_refits = _checks.positive_integer(refits, "refits")
+    n_paths = _checks.positive_integer(paths, "paths")
     if n_refits < 2:
         raise ArgumentError(
             "refits", f"must be at least 2, for a variance; got {refits}"
         )
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
-    rollouts = Rollouts(
-        steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each
-    )
+    stream = _checks.seed_sequence(seed, ())
+    rollouts = Rollouts(steps, gamma, episodes, stream, n_refits, n_paths)
     return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
 
@@ -302,11 +294,10 @@ def refuse_impossible(
     sentence.
     """
     value = estimate.value
-    room = 1e-9 * max(
-        [1.0, *(abs(bound) for bound in (lowest, highest) if np.isfinite(bound))]
-    )
+    bounds = [abs(bound) for bound in (lowest, highest) if np.isfinite(bound)]
+    rounding = 1e-9 * max([1.0, *bounds])
     nearest = float(np.clip(value, lowest, highest))
-    if not np.isfinite(value) or abs(nearest - value) <= room:
+    if not np.isfinite(value) or abs(nearest - value) <= rounding:
         return estimate
     if abs(nearest - value) <= QUANTILE * (estimate.standard_error or 0.0):
         return replace(estimate, value=nearest)
@@ -374,51 +365,41 @@ class OnCells:
         discount: float,
         seed: Seed,
     ) -> None:
-        floor = (
-            simulator.floor
-            if settings.floor is None
-            else _checks.number_in(settings.floor, "floor", 0.0, 1.0)
-        )
+        floor = simulator.floor
+        if settings.floor is not None:
+            floor = _checks.number_in(settings.floor, "floor", 0.0, 1.0)
         cells = None if settings.grid == "auto" else settings.grid
         self.model = model = simulator.discretize(
             log, cells=cells, floor=floor, discount=discount
         )
         counts = model.counts(log, outside=settings.outside)
         where = model.cells.extent()
-        encoded = model.encode(
-            log,
-            seed=_checks.seed_sequence(seed, (10**6 + 1,)),
-            outside=settings.outside,
-        )
+        stream = _checks.seed_sequence(seed, (10**6 + 1,))
+        encoded = model.encode(log, seed=stream, outside=settings.outside)
         # rewards differ within a cell: they are held against the task's own steps, not
         # against the cells' means
-        bag = Transitions(
-            **{
-                name: column
-                for name, column in encoded.columns().items()
-                if name != "reward"
-            }
-        )
+        columns = encoded.columns()
+        columns.pop("reward", None)
+        bag = Transitions(**columns)
         kept, share = model.supported(counts)
-        if kept.nnz == 0 or (share > MAX_LEFT_OUT and settings.outside != "drop"):
-            ways = (
-                [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
-            )
-            ways += [
+        if kept.nnz == 0 or (share > MAX_SHARE_LEFT_OUT and settings.outside != "drop"):
+            ways = [
                 "a coarser grid (--grid NxM)",
                 "without those transitions (--task-option outside=drop)",
             ]
-            more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
+            more = ""
+            if floor > 0.0:
+                more = f", with a defensive share of {floor:g}"
+            else:
+                ways.insert(0, "a defensive share (--task-option floor=0.001)")
             raise NoCellsError(
                 f"the log must stay where the simulator has probability: {share:.2g} of"
                 f" its transitions have none on {where}{more}, and no ratio exists"
                 f" there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
             )
         if share > 0.0:
-            most = (
-                int((row_sums(counts) - row_sums(kept)).argmax())
-                // model.task.n_actions
-            )
+            lost = row_sums(counts) - row_sums(kept)
+            most = int(lost.argmax()) // model.task.n_actions
             _checks.warn(
                 f"{share:.2g} of the log's transitions have no probability in the"
                 f" simulator on {where}; the rows on the cells leave them out. Most of"
@@ -439,6 +420,9 @@ class OnCells:
             "largest_zeta": largest,
             "d_inf": float(np.log(largest)),
         }
+        ratio = dict(simulator.ratio)
+        if tie is not None:
+            ratio = {"tie": "displacements"} | ratio
         self.facts: dict[str, Any] = {
             "simulator": self._describe(simulator.name),
             "log": (
@@ -447,53 +431,45 @@ class OnCells:
             ),
             "grid": where,
             "floor": floor,
-            "ratio": (
-                ({} if tie is None else {"tie": "displacements"})
-                | dict(simulator.ratio)
-            ),
+            "ratio": ratio,
             "rows_left_out": len(log) - len(encoded),
             "moves_left_out": share,
             "closure_error": model.diagnostics["closure_error"],
             **self._support,
         }
-        paid = [model.mdp.rewards.min(), model.mdp.rewards.max()]
+        rewards = [model.mdp.rewards.min(), model.mdp.rewards.max()]
         if log.reward is not None:
-            paid += [log.reward.min(), log.reward.max()]
-        # after an end nothing is paid
+            rewards += [log.reward.min(), log.reward.max()]
+        # after an end all rewards are 0
         if log.terminated.any() or model.mdp.absorbing().any():
-            paid.append(0.0)
+            rewards.append(0.0)
         number = float(np.sum(discount ** np.arange(horizon)))
-        self._bounds = float(min(paid)) * number, float(max(paid)) * number
+        self._bounds = float(min(rewards)) * number, float(max(rewards)) * number
 
     def _describe(self, name: str) -> str:
         """Describe the simulator on cells in one line of a report."""
         model = self.model
         support = self._support
-        places = (
-            ""
-            if model.task.is_translation_invariant
-            else ", looked at in the log's own places"
-        )
+        places = ", looked at in the log's own places"
+        if model.task.is_translation_invariant:
+            places = ""
         text = f"{name} on {model.cells.extent()}{places}: {model.mdp!r}"
         if floor := model.metadata["floor"]:
             own = model.metadata["parameters"]
             others = model.metadata["others"]
-            differing = [
-                ", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v)
-                for other in others
-            ]
-            other = (
-                f"one of {'; '.join(differing)}"
-                if others
-                else "a transition of the log"
-            )
+            differing = []
+            for parameters in others:
+                changes = [(k, v) for k, v in parameters.items() if own.get(k) != v]
+                differing.append(", ".join(f"{k}={v:.3g}" for k, v in changes))
+            other = "a transition of the log"
+            if others:
+                other = f"one of {'; '.join(differing)}"
             text += (
                 f"; defensive: with probability {floor:g} a step is {other} (plain:"
                 " without)"
             )
-        error, noise = (
-            model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error")
-        )
+        error = model.diagnostics["closure_error"]
+        noise = model.diagnostics["closure_standard_error"]
         return (
             text
             + f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%});"
@@ -543,14 +519,12 @@ class OnCells:
         for name, estimator in wanted.items():
             if estimator != OffEnvironment():
                 rows[name] = estimator
-            if (
-                isinstance(estimator, Simulator)
-                and self.model.mdp is not self.model.plain
-            ):
+            has_floor = self.model.mdp is not self.model.plain
+            if isinstance(estimator, Simulator) and has_floor:
                 rows["simulator (plain)"] = self.plain
-        return rows | (
-            {"oee on the grid": self.raw} if OffEnvironment() in wanted.values() else {}
-        )
+        if OffEnvironment() in wanted.values():
+            rows["oee on the grid"] = self.raw
+        return rows
 
     def describe_loss(
         self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]
@@ -559,12 +533,12 @@ class OnCells:
 
         No interval counts that.
         """
-        values = {name: simulate(table).value for name, table in tables.items()}
-        changes = ", ".join(
-            f"{self.plain(self.problem, tables[name]).value - value:+.3g} of"
-            f" {value:.3g} ({name})"
-            for name, value in values.items()
-        )
+        parts = []
+        for name, table in tables.items():
+            value = simulate(table).value
+            change = self.plain(self.problem, table).value - value
+            parts.append(f"{change:+.3g} of {value:.3g} ({name})")
+        changes = ", ".join(parts)
         return (
             "standard errors and intervals count the log's noise and not the error of"
             f" the cells. The cells change the simulator's own value by {changes}, and"
@@ -577,18 +551,13 @@ class OnCells:
 
         def place(match: re.Match[str]) -> str:
             """Return the matched state with the mean features of its cell."""
-            # none, where it is over
             points = model.points[model.places.point_cell == int(match[1])]
-            if len(points) == 0:
+            if len(points) == 0:  # no point stands for the terminal state
                 return match[0]
-            at = zip(
-                model.task.feature_names,
-                model.task.features(points).mean(axis=0),
-                strict=True,
-            )
-            return (
-                f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in at)})"
-            )
+            means = model.task.features(points).mean(axis=0)
+            pairs = zip(model.task.feature_names, means, strict=True)
+            features = ", ".join(f"{name}={value:.3g}" for name, value in pairs)
+            return f"{match[0]} ({features})"
 
         return re.sub(r"\bstate (\d+)", place, text)
 
@@ -608,37 +577,35 @@ def calibrated_row(
         continuous_error=outside.standard_error,
         kind=kind,
     )
-    value, error = (
-        found.diagnostics[f"calibrated_{what}"] for what in ("value", "standard_error")
-    )
+    value = found.diagnostics["calibrated_value"]
+    error = found.diagnostics["calibrated_standard_error"]
     raw_only = IN_VALUES_UNIT | {
         "row_sum_error",
         "calibrated_value",
         "calibrated_standard_error",
     }
     facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
-    told = list(found.findings)
+    findings = list(found.findings)
     apart = abs(raw.value - value)
     own = abs(outside.value - below)
-    # calibration takes out more than was put in
+    # calibration then changes more than the cells did
     if apart > 1.01 * own + 2.0 * outside.standard_error:
         figure = (
             f"{apart * scale:.3g}, and the cells change the simulator's own value by"
             f" {own * scale:.3g} alone"
         )
-        told.append(Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure))
-    ends = (
-        None
-        if found.interval is None or error is None
-        else (value - QUANTILE * error, value + QUANTILE * error)
-    )
+        finding = Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure)
+        findings.append(finding)
+    ends = None
+    if found.interval is not None and error is not None:
+        ends = (value - QUANTILE * error, value + QUANTILE * error)
     return replace(
         found,
         value=value,
         standard_error=error,
         interval=ends,
         diagnostics=facts | {"interval_method": "calibrated"},
-        findings=tuple(told),
+        findings=tuple(findings),
         model_value=None,
         is_normal=True,
         is_from_log=True,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Hashable
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -32,7 +33,7 @@ N_NEIGHBORS = 8  # rows near by, from which one is drawn
 MIN_EXPLAINED = 0.02
 N_JUDGED = 3000  # rows at which that is judged
 N_SIMULATED = 5000  # steps by which the simulator's own noise is known
-SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
+MAX_MEAN_ERRORS = 5.0  # standard errors between the means of two equal scatters
 ROUNDING = 1e-9  # of a displacement's deviation
 
 
@@ -74,11 +75,8 @@ class Stops:
         self.own = _find(own, _extremes(own), is_angle)
         least = following.min(axis=0)
         most = following.max(axis=0)
-        is_own = (
-            np.isinf(self.bounds)
-            & np.isfinite(self.own)
-            & [least >= self.own[0], most <= self.own[1]]
-        )
+        is_within = [least >= self.own[0], most <= self.own[1]]
+        is_own = np.isinf(self.bounds) & np.isfinite(self.own) & is_within
         self.bounds[is_own] = self.target[is_own] = self.own[is_own]
         self._reach = np.maximum(
             np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0)
@@ -123,9 +121,8 @@ class Stops:
             others = np.setdiff1d(np.arange(self._reach.size), [i, *held])
             if rows.sum() >= MIN_ROWS * len(held):
                 lost = moved[rows][:, held] - values
-                self.pushes[side, i][:, others] = np.linalg.lstsq(
-                    lost, (following - moved)[rows][:, others]
-                )[0]
+                pushed = (following - moved)[rows][:, others]
+                self.pushes[side, i][:, others] = np.linalg.lstsq(lost, pushed)[0]
 
     def push(self, moved: Array) -> Array:
         """Return steps f + g (n, d), pushed where they are stopped.
@@ -146,9 +143,8 @@ class Stops:
 
     def _rows_at(self, side: int, i: int, values: Array) -> BoolArray:
         """Return which rows are stopped at this side of coordinate i."""
-        return np.asarray(
-            _side(self.target[:, [i]], values[:, [i]])[:, 0] == 2 * side - 1
-        )
+        sides = _side(self.target[:, [i]], values[:, [i]])[:, 0]
+        return np.asarray(sides == 2 * side - 1)
 
 
 def _side(stops: Array, values: Array) -> IntArray:
@@ -162,9 +158,8 @@ def _side(stops: Array, values: Array) -> IntArray:
 def _extremes(values: Array) -> Array:
     """Return the least and the most (2, d) where ``MIN_ROWS`` end there and not all."""
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
-    is_stop = ((values == ends[:, None]).sum(axis=1) >= MIN_ROWS) & (
-        values.std(axis=0) > 0
-    )
+    n_rows = (values == ends[:, None]).sum(axis=1)
+    is_stop = (n_rows >= MIN_ROWS) & (values.std(axis=0) > 0)
     return np.where(is_stop, ends, [[-np.inf], [np.inf]])
 
 
@@ -232,9 +227,8 @@ class Neighbors:
         """
         if key not in self._trees:
             self._trees[key] = cKDTree(self._places[rows])
-        return np.asarray(
-            rows[self._trees[key].query(self._task.smooth(states) / self._unit, k=k)[1]]
-        )
+        places = self._task.smooth(states) / self._unit
+        return np.asarray(rows[self._trees[key].query(places, k=k)[1]])
 
 
 class Scatter:
@@ -293,19 +287,17 @@ class Scatter:
         rounding = np.full(k, ROUNDING)
         rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
         rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
-        is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= max(
-            0.05, 4.0 / np.sqrt(len(e))
-        )
-        is_alike &= np.abs(
-            noise.mean(axis=0) - e.mean(axis=0)
-        ) <= SKEWED * self.spread * np.sqrt(2.0 / len(some))
+        # the simulator's own noise is taken where the log's has its size and mean
+        most = max(0.05, 4.0 / np.sqrt(len(e)))
+        is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= most
+        apart = np.abs(noise.mean(axis=0) - e.mean(axis=0))
+        is_alike &= apart <= MAX_MEAN_ERRORS * self.spread * np.sqrt(2.0 / len(some))
         self.own = (self.spread > rounding) & is_alike & (task.n_disturbances > 0)
         self.drawn = ~self.own & (size > rounding)
         if k > d:
-            is_paid_alike = noisy.terminated == own.terminated[some]
-            self.spread[-1] = root_mean_square(
-                np.where(is_paid_alike, noisy.reward - own.reward[some], 0.0)
-            )
+            is_end_alike = noisy.terminated == own.terminated[some]
+            reward_noise = np.where(is_end_alike, noisy.reward - own.reward[some], 0.0)
+            self.spread[-1] = root_mean_square(reward_noise)
         self._task = task
         self._e = np.where(self.drawn, e, 0.0)
         self._actions = actions[is_free]
@@ -317,22 +309,27 @@ class Scatter:
         self._neighbors = Neighbors(task, log.state[is_free])
         self._near = None
         if self.drawn.any():
-            # of the same action, itself among them
+            # a row's neighbours are of the same action, and the row is among them
             near = np.empty((len(e), N_NEIGHBORS + 1), dtype=np.int64)
             for a, rows in enumerate(self._rows):
                 if len(rows):
                     k = min(N_NEIGHBORS + 1, len(rows))
-                    found = self._neighbors.find(
-                        log.state[is_free][rows], rows, k, key=a
-                    ).reshape(len(rows), k)
+                    states = log.state[is_free][rows]
+                    found = self._neighbors.find(states, rows, k, key=a)
+                    found = found.reshape(len(rows), k)
                     # repeated where there are fewer
                     near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]
             if self._is_local(near, rng.permutation(len(e))[:N_JUDGED]):
-                order = np.argsort(
-                    self._order[near[:, :N_NEIGHBORS]], axis=1, kind="stable"
-                )
+                places = self._order[near[:, :N_NEIGHBORS]]
+                order = np.argsort(places, axis=1, kind="stable")
                 self._near = np.take_along_axis(near, order, axis=1)
         self._set_weights(np.ones(len(e)))
+
+    def source(self, k: int) -> Literal["none", "simulator", "log"]:
+        """Return where the scatter of coordinate k is taken from."""
+        if self.own[k]:
+            return "simulator"
+        return "log" if self.drawn[k] else "none"
 
     @property
     def local(self) -> bool:
@@ -347,24 +344,20 @@ class Scatter:
         some = some[np.bincount(self._actions)[self._actions[some]] > N_NEIGHBORS]
         if len(some) < 50:
             return False
+        # a row itself comes last, and is left out
         is_self = near[some] == some[:, None]
-        others = np.take_along_axis(
-            near[some],
-            np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS],
-            axis=1,
-        )
+        order = np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS]
+        others = np.take_along_axis(near[some], order, axis=1)
         one = self._e[some][:, self.drawn]
         eight = self._e[others][:, :, self.drawn]
-        for x, y in (
-            (one, eight.mean(axis=1)),
-            (np.abs(one), np.abs(eight).mean(axis=1)),
-        ):
+        least = max(MIN_EXPLAINED, 9.0 / len(some))
+        values = (one, eight.mean(axis=1))
+        sizes = (np.abs(one), np.abs(eight).mean(axis=1))
+        for x, y in (values, sizes):
             x = x - x.mean(axis=0)
             y = y - y.mean(axis=0)
             both = (x * x).sum(axis=0) * (y * y).sum(axis=0)
-            if (
-                (x * y).sum(axis=0) ** 2 > max(MIN_EXPLAINED, 9.0 / len(some)) * both
-            ).any():
+            if ((x * y).sum(axis=0) ** 2 > least * both).any():
                 return True
         return False
 
@@ -397,17 +390,15 @@ class Scatter:
             if self._near is None or len(self._rows[a]) == 0:
                 chosen[at] = draw_rows(self._pools[a], uniform[at])
             else:
-                near = self._near[
-                    self._neighbors.find(states[at], self._rows[a], key=a)
-                ]
+                nearest = self._neighbors.find(states[at], self._rows[a], key=a)
+                near = self._near[nearest]
                 weights = self._weights[near]
-                running = np.cumsum(
-                    np.where(weights.any(axis=1, keepdims=True), weights, 1.0), axis=1
-                )
-                place = (running <= (uniform[at] * running[:, -1])[:, None]).sum(axis=1)
-                chosen[at] = near[
-                    np.arange(len(at)), np.minimum(place, N_NEIGHBORS - 1)
-                ]
+                # a bootstrap may leave all neighbours out: they then weigh the same
+                has_weight = weights.any(axis=1, keepdims=True)
+                running = np.cumsum(np.where(has_weight, weights, 1.0), axis=1)
+                level = (uniform[at] * running[:, -1])[:, None]
+                place = np.minimum((running <= level).sum(axis=1), N_NEIGHBORS - 1)
+                chosen[at] = near[np.arange(len(at)), place]
         return np.asarray(self._e[chosen])
 
 

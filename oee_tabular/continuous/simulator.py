@@ -7,16 +7,20 @@ numbers of actions in place of probabilities (``as_probabilities``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
-from oee_tabular.continuous.discretization import VisitedCells, discretize
-from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
+from oee_tabular.continuous.discretization import CellsLike, VisitedCells, discretize
+from oee_tabular.continuous.discretized import (
+    Discretization,
+    Outside,
+    uniform_policy_of,
+)
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import (
@@ -26,10 +30,23 @@ from oee_tabular.continuous.task import (
     ask_policy,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, Seed
 
-# of tasks that step one state at a time
-SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}
+# vertices along each feature, a number of visited cells, or the task's own
+GridLike: TypeAlias = tuple[int, ...] | int | Literal["auto"]
+Calibration: TypeAlias = Literal["ratio", "difference", "none"]
+
+
+class Speed(TypedDict):
+    """The settings of a simulator that decide how long an evaluation takes."""
+
+    episodes: int
+    refit_paths: int
+    refits: int
+
+
+# the settings of tasks that step one state at a time
+SLOW: Speed = {"episodes": 2000, "refit_paths": 200, "refits": 10}
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
@@ -49,9 +66,9 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
     (0.3535533905932738, 0.5)
     """
     _checks.function(policy, "policy")
-    return (
-        policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)
-    )
+    if isinstance(policy, CommandPolicy):
+        return policy
+    return CommandPolicy(policy, actions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +104,11 @@ class CommandPolicy:
             return 0.0, 0.0
         actions = self.actions
         inside = np.clip(commands, actions.min(axis=0), actions.max(axis=0))
-        squares = weights @ (actions**2).sum(axis=1) + (
-            inside * (inside - 2.0 * weights @ actions)
-        ).sum(axis=1)
-        return float(np.sqrt(max(0.0, squares.mean()))), float(
-            (commands != inside).any(axis=1).mean()
-        )
+        # E|a - c|^2 = E|a|^2 + c (c - 2 E a), a the action and c the command
+        apart = (inside * (inside - 2.0 * weights @ actions)).sum(axis=1)
+        squares = weights @ (actions**2).sum(axis=1) + apart
+        distance = float(np.sqrt(max(0.0, squares.mean())))
+        return distance, float((commands != inside).any(axis=1).mean())
 
     def _play(self, states: Array) -> tuple[Array, Array | None]:
         """Return probabilities, and the commands (n, k) where the policy gave such."""
@@ -128,21 +144,17 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
     """
     levels = [np.unique(column) for column in actions.T]
     shape = tuple(len(each) for each in levels)
-    if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(
-        actions
-    ):
+    n_unique = len(np.unique(actions, axis=0))
+    if np.prod(shape) != len(actions) or n_unique != len(actions):
         distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
         return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
     weights = np.ones((len(commands), 1))
     for column, each in zip(commands.T, levels, strict=True):
-        own = np.column_stack(
-            [np.interp(column, each, one) for one in np.eye(len(each))]
-        )
+        parts = [np.interp(column, each, one) for one in np.eye(len(each))]
+        own = np.column_stack(parts)
         weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
-    place = [
-        np.searchsorted(each, column)
-        for column, each in zip(actions.T, levels, strict=True)
-    ]
+    columns = zip(actions.T, levels, strict=True)
+    place = [np.searchsorted(each, column) for column, each in columns]
     return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
 
 
@@ -197,7 +209,7 @@ class ContinuousSimulator:
     horizon: int
     floor: float = 0.0
     ratio: Mapping[str, Any] = field(default_factory=dict)
-    calibration: str = "ratio"
+    calibration: Calibration = "ratio"
     policies: tuple[StatePolicy, ...] = ()
     episodes: int = 50_000
     refit_paths: int = 1000
@@ -243,26 +255,32 @@ class ContinuousSimulator:
                 ) from None
             _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
             uniform = (1.0 - weight) / self.task.n_actions
-            return lambda states: (
-                weight * np.asarray(expert(states), dtype=np.float64) + uniform
-            )
+
+            def mixed(states: Array) -> Array:
+                """Return the expert's probabilities, mixed with the uniform ones."""
+                own = np.asarray(expert(states), dtype=np.float64)
+                return weight * own + uniform
+
+            return mixed
         if ":" not in spec or spec.startswith("mix:"):
             own = "uniform" if expert is None else "uniform, expert, mix:WEIGHT"
-            raise ValueError(
-                f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of"
-                f" states; got {_checks.show(spec)}"
+            raise ArgumentError(
+                f"{name} of {self.task.name}",
+                f"must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}",
             )
         with own_modules():
-            return as_probabilities(
-                own_object(spec, name, "my_module:policy"), self.task.actions
-            )
+            function = own_object(spec, name, "my_module:policy")
+            return as_probabilities(function, self.task.actions)
 
     def discretize(
         self,
         log: ContinuousTransitions | None = None,
         *,
-        cells: Any = None,
-        **options: Any,
+        cells: CellsLike | None = None,
+        floor: float = 0.0,
+        others: Sequence[ContinuousTask] | None = None,
+        discount: float = 0.99,
+        seed: Seed = 0,
     ) -> Discretization:
         """Make the finite MDP of the task, looked at where the log was.
 
@@ -297,13 +315,22 @@ class ContinuousSimulator:
             self.task,
             log,
             cells=chosen,
+            floor=floor,
+            others=others,
             policies=self.policies,
+            discount=discount,
             closure_episodes=2000 if self.task.steps_at_once else 500,
-            **options,
+            seed=seed,
         )
 
     def record(
-        self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any
+        self,
+        policy: StatePolicy,
+        *,
+        max_steps: int | None = None,
+        n_transitions: int | None = None,
+        n_episodes: int | None = None,
+        seed: Seed = None,
     ) -> ContinuousTransitions:
         """Record a log of the simulator.
 
@@ -334,17 +361,17 @@ class ContinuousSimulator:
         return record(
             self.task,
             policy,
+            n_transitions=n_transitions,
+            n_episodes=n_episodes,
             max_steps=self.horizon if max_steps is None else max_steps,
-            **options,
+            seed=seed,
         )
 
 
-def as_simulator(
-    task: ContinuousTask, horizon: int | None, **options: Any
-) -> ContinuousSimulator:
+def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulator:
     """Return a task as a simulator, configured as a Gymnasium environment is.
 
-    ``options`` replace its settings; ``horizon`` is that of its episodes.
+    ``horizon`` is that of its episodes.
     """
     if horizon is None:
         raise ArgumentError(
@@ -352,18 +379,16 @@ def as_simulator(
             f"must be given for {task.name}, which has no time limit of its own; it is"
             " None",
         )
-    ratio = {"prior": "simulator", "strength": 0.01}
-    speed = {} if task.steps_at_once else SLOW
-    own: dict[str, Any] = {
-        "name": task.name,
-        "floor": 1e-3,
-        "ratio": ratio,
-        "calibration": "difference",
-        **speed,
-    }
-    return ContinuousSimulator(
-        task=task, expert=None, horizon=horizon, **(own | options)
+    simulator = ContinuousSimulator(
+        name=task.name,
+        task=task,
+        expert=None,
+        horizon=horizon,
+        floor=1e-3,
+        ratio={"prior": "simulator", "strength": 0.01},
+        calibration="difference",
     )
+    return simulator if task.steps_at_once else replace(simulator, **SLOW)
 
 
 @dataclass(frozen=True)
@@ -395,9 +420,9 @@ class Settings:
     'error'
     """
 
-    grid: tuple[int, ...] | int | str | None = None
-    outside: str = "error"
+    grid: GridLike | None = None
+    outside: Outside = "error"
     strict: bool = False
-    calibration: str | None = None
+    calibration: Calibration | None = None
     floor: float | None = None
     episodes: int | None = None

@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.special import ndtr
@@ -24,6 +24,9 @@ from oee_tabular import _checks
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.discretization import CellsLike
 
 StatePolicy: TypeAlias = Callable[[Array], Array]
 
@@ -128,7 +131,7 @@ class ContinuousTask(ABC):
     periodic: tuple[bool, ...]
     terminates: bool
     steps_at_once: bool = True  # whether many states cost little more than one
-    default_cells: Any = None
+    default_cells: CellsLike | None = None
     noise_points: int = 1
     is_translation_invariant: bool = False
 
@@ -237,17 +240,15 @@ class ContinuousTask(ABC):
         A task says here which angles it has.
         """
         features = self.features(states)
-        whole = features is states or (
-            features.shape == states.shape and bool((features == states).all())
-        )
+        has_same_shape = features.shape == states.shape
+        is_state = has_same_shape and bool((features == states).all())
         if not any(self.periodic):
-            return states if whole else np.column_stack([states, features])
+            return states if is_state else np.column_stack([states, features])
         turns = np.array(self.periodic)
         width = np.subtract(self.feature_high, self.feature_low)
         angle = 2.0 * np.pi * features[:, turns] / width[turns]
-        return np.column_stack(
-            [features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)]
-        )
+        others = features[:, ~turns] if is_state else states
+        return np.column_stack([others, np.cos(angle), np.sin(angle)])
 
     def embed(self, features: Array) -> Array:
         """Return states that have these features, from which a grid is stepped.
@@ -285,11 +286,9 @@ class ContinuousTask(ABC):
         """
         before = self.reward_terms(states)
         after = self.reward_terms(next_states)
-        return (
-            None
-            if before is None or after is None
-            else self.reward_of(before, actions, after)
-        )
+        if before is None or after is None:
+            return None
+        return self.reward_of(before, actions, after)
 
     def reward_terms(self, states: Array) -> Array | None:
         """Compute functions of a state in which the reward of a transition is linear.
@@ -441,9 +440,8 @@ class ContinuousTask(ABC):
         Moves
             The next states, the rewards, and whether the next states are terminal.
         """
-        return self.moves(
-            states, actions, rng.standard_normal((len(states), self.n_disturbances))
-        )
+        disturbance = rng.standard_normal((len(states), self.n_disturbances))
+        return self.moves(states, actions, disturbance)
 
 
 class DerivedTask(ContinuousTask):
@@ -546,15 +544,15 @@ class Chance:
         """
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
         end = self.used + int(np.prod(shape))
-        most = len(self._xi)
-        if end > most:
+        n_numbers = len(self._xi)
+        if end > n_numbers:
             raise IndexError(
-                f"a step must draw at most {most} random numbers, as when it was"
+                f"a step must draw at most {n_numbers} random numbers, as when it was"
                 " recorded; it draws more"
             )
-        found = self._xi[self.used : end].reshape(shape)
+        drawn = self._xi[self.used : end].reshape(shape)
         self.used = end
-        return found.copy() if found.ndim else float(found)
+        return drawn.copy() if drawn.ndim else float(drawn)
 
     def standard_normal(self, size: Any = None) -> Any:
         """Draw from N(0, 1)."""
@@ -571,9 +569,8 @@ class Chance:
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
         """Draw uniformly from [low, high)."""
         share = np.minimum(ndtr(self._draw(size, low, high)), np.nextafter(1.0, 0.0))
-        return np.float64(low) + (np.float64(high) - np.float64(low)) * np.float64(
-            share
-        )
+        width = np.float64(high) - np.float64(low)
+        return np.float64(low) + width * np.float64(share)
 
     def integers(
         self,
@@ -588,10 +585,10 @@ class Chance:
         Without a high they are from 0 to below low.
         """
         start, end = (0, low) if high is None else (low, high)
-        found = start + np.floor(
-            (end + endpoint - start) * np.asarray(self.random(size))
-        ).astype(np.int64)
-        return int(found) if size is None else found
+        n_values = end + endpoint - start
+        steps = np.floor(n_values * np.asarray(self.random(size)))
+        drawn = start + steps.astype(np.int64)
+        return int(drawn) if size is None else drawn
 
 
 NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be drawn
