@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from oee_tabular.report import Report
     from oee_tabular.typing import RealArrayLike
 
-MAX_COMMANDS = 100  # different commands of a log, which are then the actions of a Gymnasium environment
+# Up to so many different commands of a log are the actions of a Gymnasium environment.
+MAX_COMMANDS = 100
 N_KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
 TASK_OPTIONS = (
     "outside",

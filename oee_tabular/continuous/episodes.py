@@ -159,7 +159,7 @@ def compare_returns(
     go alike. By the difference of two tasks' returns their values are compared with a
     small part of Monte Carlo's own error. All begin where the first does.
     """
-    # which has spawned nothing
+    # the seed may have spawned streams before: its copy begins with the first
     fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
     start, steps = map(np.random.default_rng, fresh.spawn(2))
     n_all = n * len(tasks)

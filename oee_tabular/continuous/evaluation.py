@@ -70,7 +70,8 @@ from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, Seed
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
-# of the log, in which a policy's commands are compared with those that are played
+# A policy's commands are compared with those that are played in so many of the log's
+# states.
 MAX_POLICY_STATES = 1000
 
 
@@ -353,19 +354,9 @@ def evaluate_continuous(
     if about_rewards:
         messages.append(about_rewards)
     if cells is None:
-        premises = {
-            "lower_ratio": lower_ratio,
-            "upper_ratio": upper_ratio,
-            "tie": tie,
-            "features": features,
-        }
-        for premise, value in premises.items():
-            if value is not None:
-                raise ArgumentError(
-                    premise,
-                    "must be left out without cells: it is about the transitions of a"
-                    " finite simulator",
-                )
+        _require_no_premises(
+            lower_ratio=lower_ratio, upper_ratio=upper_ratio, tie=tie, features=features
+        )
         about = {
             "simulator": f"{simulator.name}, without cells",
             "log": repr(log),
@@ -432,6 +423,17 @@ def evaluate_continuous(
     )
     texts = tuple(map(cells.add_features, (*report.warnings, *messages)))
     return replace(report, warnings=texts, uncertainty=uncertainty)
+
+
+def _require_no_premises(**premises: object) -> None:
+    """Raise a ValueError for what is known of the target but needs cells."""
+    for name, value in premises.items():
+        if value is not None:
+            raise ArgumentError(
+                name,
+                "must be left out without cells: it is about the transitions of a finite"
+                " simulator",
+            )
 
 
 def sampling_rows(

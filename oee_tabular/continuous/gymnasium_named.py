@@ -406,7 +406,8 @@ class Physics:
                 raise ArgumentError(
                     key,
                     f"must be an argument or a number of {identifier}: it takes"
-                    f" {takes or 'none'} and has {', '.join(known) or 'none'}; got {key}={value!r}",
+                    f" {takes or 'none'} and has {', '.join(known) or 'none'}; got"
+                    f" {key}={value!r}",
                 )
             self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
         env.close()

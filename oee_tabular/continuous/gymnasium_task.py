@@ -36,8 +36,8 @@ MIN_STATES_AT_ONCE = 16  # fewer are stepped one by one
 N_RANGE_STEPS = 1000  # by which usual ranges are found
 MAX_DRAWS = 64  # in a step
 MAX_STEP_DIFFERENCE = 0.02  # of a coordinate's usual step, for a step that is repeated
-# of steps that are not repeated (contacts, whose solvers remember): up to so many are a
-# warning, more an error
+# A share of steps that are not repeated (contacts, whose solvers remember) up to this is
+# a warning, a larger one an error.
 MAX_DIFFERING_SHARE = 0.05
 
 
@@ -278,7 +278,8 @@ class GymnasiumTask(ContinuousTask):
                 f" of {self.name} differ from the record when stepped again from its"
                 " states. Read and set the rest as well, such as other bodies'"
                 " velocities and timers (--task-option state=MODULE:GET,SET); the most"
-                f" in {worst}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}"
+                f" in {worst}: {away[:, k].max():.3g}, where a step moves it by"
+                f" {size[k]:.3g}"
             )
             if bad.mean() > MAX_DIFFERING_SHARE:
                 raise ValueError(text)

@@ -38,14 +38,15 @@ Kind: TypeAlias = Literal["action", "residual"]
 
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
-# by which the test is made; slow: of tasks that step one by one
+# rows by which the test is made; slow tasks step one state at a time
 MIN_ROWS = 200
 MAX_ROWS = 20_000
 MAX_SLOW_ROWS = 3000
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
 NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 MAX_CLIPPED = 8.0  # root mean squares: what rows at contacts count at most
-# of what is explained, over rows: fewer than 16 rows cannot make it
+# What is explained must be so many standard errors over rows from 0, which fewer than
+# 16 rows cannot make it.
 MIN_STANDARD_ERRORS = 4.0
 
 
@@ -459,7 +460,7 @@ def history_effects(
     codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
     own = task.noiseless_step(log.state[rows], actions[rows]).next_state
     acted = []
-    # which action was taken then, and where the simulator would go under it now
+    # inputs are which action was taken then, and where the simulator would go under it
     for back in earlier[rows].T:
         then = np.where(back >= 0, actions[back], actions[rows])
         other = task.noiseless_step(log.state[rows], then).next_state - own

@@ -78,10 +78,11 @@ __all__ = [
     "record_goals",
 ]
 
-# of the displacements of the other hands of the defensive simulator
+# The other hands of the defensive simulator have these multiples of the displacements.
 FACTORS = (0.5, 1.5)
-SCATTER_FACTOR = 2.0  # of their scatter
-VISITING_DELTAS = (0.0, 0.3, 0.6, 1.0)  # of the policies that visit the states
+SCATTER_FACTOR = 2.0  # the multiple of the scatter that these hands have
+# the shares of random commands of the policies that visit the states for a fit
+VISITING_DELTAS = (0.0, 0.3, 0.6, 1.0)
 N_TICKS = 10  # updates of the joint reference in a period
 # s, kv / kp: servos damp the speed's error
 FEED_FORWARD = np.repeat([0.05, 0.1], [4, 3])
@@ -91,7 +92,7 @@ JOINT_STATES = tuple(
     for kind in ("joint", "speed", "reference")
     for k in range(1, gen3.N_JOINTS + 1)
 )
-N_STATES_AT_A_TIME = 2048  # whose trajectories MuJoCo returns in one array
+N_STATES_AT_A_TIME = 2048  # MuJoCo returns their trajectories in one array
 LIMITS = {
     "velocity_scale": (0.0, 3.0),
     "latency": (0.0, gen3.PERIOD),

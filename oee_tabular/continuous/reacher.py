@@ -46,7 +46,7 @@ LENGTH = 0.1  # m, the simulator's links
 TARGET = (0.1, 0.1)  # m
 LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)  # of an action, in units of the gear
 INERTIAS = ("box", "capsule")
-# of the length, in the other arms of the defensive simulator
+# The other arms of the defensive simulator have these multiples of the length.
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 

@@ -46,9 +46,8 @@ N_FREQUENCIES = 128  # of random cosines
 MAX_PAIRED_INPUTS = 24  # above, products of inputs are no functions
 RIDGES = (1e-3, 1e-5, 1e-9)  # shares of a column's mean square
 N_GROUPS = 40  # of whole episodes, by which a linear model is resampled
-EQUAL_SHARE = (
-    1e-10  # of a target's mean square: two errors that differ by less are equal
-)
+# errors that differ by less than this share of a target's mean square are equal
+EQUAL_SHARE = 1e-10
 
 
 @njit(cache=True)

@@ -52,12 +52,13 @@ OUTLYING_DEVIATIONS = 8.0
 MAX_OUTLYING_SHARE = 0.2  # of the rows: where there are more, none is outlying
 N_ROUNDS = 3  # of leaving them out and fitting again
 ANGLE_ROUNDING = 1e-9  # in units of an angle
-MIN_STANDARD_ERRORS = 3.0  # of what g explains: beyond, the target differs
-# of what is left over: where history explains more, the state is not all that decides
+MIN_STANDARD_ERRORS = 3.0  # where g explains more, the target differs
+# Where history explains a larger share of what is left over, the state is not all that
+# decides.
 MIN_HIDDEN_SHARE = 0.1
 MIN_HIDDEN_DEVIATIONS = 0.03  # of a step's own deviation: less is no hidden state
 MAX_SCATTER_DIFFERENCE = 0.05  # share by which two equal scatters may differ
-UNITS = {  # of a column, and the factors to the simulator's
+UNITS = {  # units of a column, and their factors to the simulator's
     "degrees for radians": np.pi / 180.0,
     "radians for degrees": 180.0 / np.pi,
     "mm for m": 1e-3,
@@ -65,8 +66,8 @@ UNITS = {  # of a column, and the factors to the simulator's
     "cm for m": 1e-2,
     "m for cm": 1e2,
 }
-N_UNIT_ROWS = 500  # of the log by which units are judged
-MAX_UNIT_COORDINATES = 8  # beyond, units are not judged
+N_UNIT_ROWS = 500  # rows of the log by which units are judged
+MAX_UNIT_COORDINATES = 8  # with more coordinates units are not judged
 # shares of a displacement: more is missed in a wrong unit, less in the right one
 MIN_WRONG_UNIT_MISS = 0.5
 MAX_RIGHT_UNIT_MISS = 0.1

@@ -55,9 +55,10 @@ from oee_tabular.exceptions import ArgumentError, DiscretizationWarning, NoCells
 from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.typing import Array, Seed
 
-# of a policy's transitions that start beyond the log's range: a finding says more
+# A finding tells of a larger share of transitions that start beyond the log's range.
 MAX_BEYOND_SHARE = 0.02
-# of the log's transitions without support that the rows on the cells may leave out
+# The rows on the cells leave out up to this share of the log's transitions, those
+# without support.
 MAX_SHARE_LEFT_OUT = 0.01
 QUANTILE = 1.96  # standard errors, of the intervals that estimators set themselves
 BEYOND = (

@@ -25,7 +25,8 @@ from oee_tabular.typing import Array, BoolArray, IntArray
 
 MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
 MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others
-# of the longest displacement: from so far back a step is free of a stop
+# From so many longest displacements further back a step is tried, until it is free of a
+# stop.
 SHARES_BACK = 2.0 ** np.arange(-5, 1)
 N_NEIGHBORS = 8  # rows near by, from which one is drawn
 # share of a residual, or of its size, that its neighbours explain: it is drawn from
@@ -34,7 +35,7 @@ MIN_EXPLAINED = 0.02
 N_JUDGED = 3000  # rows at which that is judged
 N_SIMULATED = 5000  # steps by which the simulator's own noise is known
 MAX_MEAN_ERRORS = 5.0  # standard errors between the means of two equal scatters
-ROUNDING = 1e-9  # of a displacement's deviation
+SCATTER_ROUNDING = 1e-9  # displacements' deviations: less scatter is rounding
 
 
 class Stops:
@@ -284,7 +285,7 @@ class Scatter:
         self.spread = root_mean_square(noise)
         e = left_over[is_free]
         size = root_mean_square(e)
-        rounding = np.full(k, ROUNDING)
+        rounding = np.full(k, SCATTER_ROUNDING)
         rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
         rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
         # the simulator's own noise is taken where the log's has its size and mean

@@ -27,6 +27,7 @@ from oee_tabular.continuous.correction import (
     difference,
     parameters_of,
 )
+from oee_tabular.continuous.discretized import uniform_policy_of
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns
 from oee_tabular.continuous.history import earlier_rows, hidden_state, history_effects
 from oee_tabular.continuous.rows import calibrated_row, refuse_impossible
@@ -276,9 +277,8 @@ def test_sensor_noise_puts_the_simulator_in_front():
         seed=0,
     )
     answers = {answer.policy: answer for answer in report.answers}
-    assert [answer.estimator for answer in answers.values()] == [
-        "simulator (continuous)"
-    ] * 2
+    rows = [answer.estimator for answer in answers.values()]
+    assert rows == ["simulator (continuous)", "simulator (continuous)"]
     assert all(answer.lower is None for answer in answers.values())
     assert report.headline.startswith(
         "No correction can be trusted, because the next state depends on more than the"
@@ -437,9 +437,7 @@ def test_gymnasium(spec, truth):
     target = gymnasium_simulator(
         f"{spec}:" + ",".join(f"{key}={x}" for key, x in truth.items())
     ).task
-    policy = lambda states: np.full(  # noqa: E731
-        (len(states), target.n_actions), 1.0 / target.n_actions
-    )
+    policy = uniform_policy_of(target)
     log = target.record(policy, n_transitions=300, max_steps=100, seed=0)
     fit = fit_parameters(
         *parameters_of(gymnasium_simulator(spec).task, list(truth)), log
@@ -460,7 +458,7 @@ def test_mujoco():
     model = gymnasium.make("InvertedPendulum-v5").unwrapped.model
     assert simulator.family.known()["body_mass.pole"] == model.body("pole").mass[0]
     target = simulator.family(**truth)
-    policy = lambda states: np.full((len(states), 5), 0.2)  # noqa: E731
+    policy = uniform_policy_of(target)
     log = target.record(policy, n_transitions=300, max_steps=30, seed=0)
     fit = fit_parameters(*parameters_of(simulator, list(truth)), log)
     assert_allclose(
