@@ -427,6 +427,12 @@ def evaluate_continuous(
 
 def _require_no_premises(**premises: object) -> None:
     """Raise a ValueError for what is known of the target but needs cells."""
+    lower = premises["lower_ratio"]
+    if lower is not None:
+        _checks.number_in(lower, "lower_ratio", 0.0, 1.0)
+    upper = premises["upper_ratio"]
+    if upper is not None:
+        _checks.number_in(upper, "upper_ratio", 1.0, np.inf, infinite=True)
     for name, value in premises.items():
         if value is not None:
             raise ArgumentError(
