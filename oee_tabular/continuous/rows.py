@@ -48,7 +48,7 @@ from oee_tabular.estimators import (
     Simulator,
     calibrate,
 )
-from oee_tabular.estimators.base import IN_VALUES_UNIT
+from oee_tabular.estimators.diagnostics import Diagnostics
 from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
 from oee_tabular.exceptions import ArgumentError, DiscretizationWarning, NoCellsError
@@ -580,12 +580,12 @@ def calibrated_row(
     )
     value = found.diagnostics["calibrated_value"]
     error = found.diagnostics["calibrated_standard_error"]
-    raw_only = IN_VALUES_UNIT | {
-        "row_sum_error",
-        "calibrated_value",
-        "calibrated_standard_error",
+    # values of the raw row are not those of this one, nor are its row sums
+    facts = {
+        name: x
+        for name, x in found.diagnostics.items()
+        if Diagnostics.unit_of(name) != "value" and name != "row_sum_error"
     }
-    facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
     findings = list(found.findings)
     apart = abs(raw.value - value)
     own = abs(outside.value - below)

@@ -1,20 +1,19 @@
-"""What an estimator is and returns, its exact limit, its option ``ratio``; means with
-standard errors.
-"""
+"""Estimates, the base classes of estimators, and means with standard errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_variances
+from oee_tabular.estimators.diagnostics import DiagnosticsField
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import ReweightedModel, reweight
@@ -26,64 +25,62 @@ from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.transition import method_named
-from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
+from oee_tabular.typing import (
+    Array,
+    Csr,
+    PolicyLike,
+    RealArrayLike,
+    Seed,
+)
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
-
-# diagnostics that are values, or errors of values: (1 - discount) multiplies them as
-# well
-IN_VALUES_UNIT = frozenset(
-    {
-        "simulator_value",
-        "model_value",
-        "one_step_value",
-        "maximum_likelihood_value",
-        "replaced_value",
-        "refused_value",
-        "second_calibration_value",
-        "truncation_bias_bound",
-        "error_bound",
-        "one_step_standard_error",
-        "unrecorded_standard_error",
-        "standard_error_if_centre_fits",
-        "standard_error_of_the_log",
-    }
-)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value of a policy in the target, a discounted sum of rewards (not multiplied by
-    1 - discount).
+    """A value of a policy in the target, with its standard error and diagnostics.
 
-    Attributes
+    Parameters
     ----------
-    value : float (nan if there is none; status says why)
-    standard_error : float or None
-        None also if the data do not vary: one transition, or equal returns.
-        ``diagnostics["standard_error_of"]`` says what it covers: the log or the
-        rollouts.
-    interval : (lower, upper) or None
-        The estimator's own, at 95%. If ``model_value`` is set, ``oee.evaluate`` quotes
-        the likelihood interval instead, where there is one.
+    value : float
+        The discounted sum of rewards, not multiplied by 1 - discount. It is nan where
+        there is no value; ``status`` says why.
+    standard_error : float, optional
+        The standard error of the value. It is None also where the data do not vary:
+        one transition, or equal returns. ``diagnostics["standard_error_of"]`` says what
+        it covers: the log or the rollouts.
+    interval : tuple of (float, float), optional
+        The estimator's own interval (lower, upper), at 95%. Where ``model_value`` is
+        set, ``oee.evaluate`` quotes the likelihood interval instead, if there is one.
         ``diagnostics["interval_method"]`` names the interval.
-    diagnostics : numbers and strings
-        If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage``
-        (share of the
-        policy's discounted time in recorded pairs), ``unrecorded_share`` (the rest),
-        ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the
-        convex programs).
-    status : "ok", or the problem and a remedy
-    findings : warnings, which a report prints
-    model_value : the exact value of zeta * P, or None
-        Set if the value is that of a corrected simulator whose rows sum to 1. A report
-        quotes such values first, with the likelihood interval.
-    measured : share of the policy's time in pairs whose variance the standard error
-        includes
-    is_normal : whether the interval is the value ± a quantile times the standard error
-    is_from_log : False if the value uses the simulator alone
-    is_from_episodes : whether it averages the log's own episodes and rewards
-    is_headline : whether a report gives it first
+    diagnostics : Diagnostics or mapping, optional
+        Numbers and texts on how the value came about, such as the coverage, the largest
+        weight or the accuracy of the linear solve. Every mapping is stored as a
+        ``Diagnostics``, which lists the known keys with their units.
+    status : str, default 'ok'
+        The problem and a remedy, if there is a problem.
+    findings : tuple of Finding, optional
+        Warnings about the value, which a report prints.
+    model_value : float, optional
+        The exact value of zeta * P, where the value is that of a corrected simulator
+        whose rows sum to 1. A report quotes such values first, with the likelihood
+        interval.
+    measured : float, default 1.0
+        The share of the policy's discounted time in pairs whose variance the standard
+        error includes.
+    is_normal : bool, default False
+        Whether the interval is the value ± a quantile times the standard error.
+    is_from_log : bool, default True
+        Whether the value uses the log, and not the simulator alone.
+    is_from_episodes : bool, default False
+        Whether the value averages the log's own episodes and rewards.
+    is_headline : bool, default False
+        Whether a report gives this value first.
+
+    See Also
+    --------
+    Diagnostics : The known diagnostics, with type, unit and meaning.
+    Finding : A warning about a value.
 
     Examples
     --------
@@ -97,7 +94,7 @@ class Estimate:
     value: float
     standard_error: float | None = None
     interval: tuple[float, float] | None = None
-    diagnostics: dict[str, Any] = field(default_factory=dict)
+    diagnostics: DiagnosticsField = DiagnosticsField()  # noqa: RUF009  a descriptor
     status: str = "ok"
     findings: tuple[Finding, ...] = ()
     model_value: float | None = None
@@ -120,50 +117,51 @@ class Estimate:
             object.__setattr__(self, "status", UNEXPLAINED)
 
     def __repr__(self) -> str:
-        return (
-            f"Estimate({self._value_and_error()}"
-            + ("" if self.status == "ok" else f", {self.status}")
-            + ")"
-        )
+        text = self._value_and_error()
+        if self.status != "ok":
+            text += f", {self.status}"
+        return f"Estimate({text})"
 
     def __str__(self) -> str:
-        ends = (
-            ""
-            if self.interval is None
-            else f", interval {_printing.interval(*self.interval)}"
-        )
-        text = f"{self._value_and_error()}{ends}; {_printing.SUM}"
-        return text + ("" if self.status == "ok" else f"; {self.status}")
+        text = self._value_and_error()
+        if self.interval is not None:
+            text += f", interval {_printing.interval(*self.interval)}"
+        text += f"; {_printing.SUM}"
+        if self.status != "ok":
+            text += f"; {self.status}"
+        return text
 
     def _value_and_error(self) -> str:
-        error = (
-            ""
-            if self.standard_error is None
-            else f" ± {self.standard_error:.2g} (standard error)"
-        )
-        return f"{self.value:.6g}{error}"
+        """Write the value, and its standard error if there is one."""
+        if self.standard_error is None:
+            return f"{self.value:.6g}"
+        return f"{self.value:.6g} ± {self.standard_error:.2g} (standard error)"
 
     def _repr_html_(self) -> str:
-        error = None if self.standard_error is None else f"{self.standard_error:.2g}"
-        ends = None if self.interval is None else _printing.interval(*self.interval)
-        rows: dict[str, object] = {
-            "value": f"{self.value:.6g}",
-            "standard error": error,
-            "interval": ends,
-        }
-        rows = {name: shown for name, shown in rows.items() if shown is not None}
-        rows |= {
-            name: f"{x:.4g}" if isinstance(x, float) else x
-            for name, x in self.diagnostics.items()
-        }
+        """Return the table that a notebook shows."""
+        rows: dict[str, object] = {"value": f"{self.value:.6g}"}
+        if self.standard_error is not None:
+            rows["standard error"] = f"{self.standard_error:.2g}"
+        if self.interval is not None:
+            rows["interval"] = _printing.interval(*self.interval)
+        for name, x in self.diagnostics.items():
+            rows[name] = f"{x:.4g}" if isinstance(x, float) else x
         return _printing.facts(
             f"Estimate: {_printing.SUM}", [*rows.items(), ("status", self.status)]
         )
 
 
 class Estimator(Protocol):
-    """An estimator as a callable; the package's own are frozen dataclasses of their
-    options.
+    """An estimator: a callable that gives an ``Estimate`` of a policy's value.
+
+    The package's own estimators are frozen dataclasses of their options. Functions that
+    return a number or an ``Estimate`` serve as well (``oee.evaluate``,
+    ``oee.testing.check_estimator``).
+
+    See Also
+    --------
+    Estimate : What an estimator returns.
+    Problem : What an estimator is given.
 
     Examples
     --------
@@ -180,13 +178,30 @@ class Estimator(Protocol):
     def __call__(
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
-        """Estimate J of ``policy`` in the target of ``problem``."""
+        """Estimate the policy's value in the target.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log, with the horizon and the source of rewards.
+        policy : PolicyLike
+            The policy to evaluate.
+        seed : int, Generator or None, optional
+            The seed of whatever is drawn.
+
+        Returns
+        -------
+        Estimate
+            The value, with a standard error where the estimator has one.
+        """
         ...
 
 
 def effective_sample_size(weights: Array) -> float:
-    """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much;
-    0 where all weights are 0.
+    """Compute Kish's effective sample size, (sum w)^2 / sum w^2.
+
+    As many equally weighted samples would vary as much. It is 0 where all weights are
+    0.
     """
     # squares of very large or small numbers leave the range of floats
     scaled = np.ldexp(weights, -exponent(weights))
@@ -194,14 +209,15 @@ def effective_sample_size(weights: Array) -> float:
     return float(scaled.sum()) ** 2 / square if square > 0 else 0.0
 
 
-ROUNDING = 1e-12  # of the largest number involved: what is smaller does not vary
+# a share of the largest number involved: a smaller spread is rounding, and no variation
+ROUNDING = 1e-12
 
 
 def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | None]:
-    """Mean and standard error of independent values, without an error where they do not
-    vary.
+    """Compute the mean and the standard error of independent values.
 
-    ``size``: of the numbers that the values are differences of, where they are.
+    There is no error where the values do not vary. If they are differences, ``size`` is
+    the size of the numbers that were subtracted, whose rounding is no variation.
     """
     # squares of very large or small numbers leave the range of floats
     n = len(values)
@@ -210,17 +226,17 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values
         most = max(float(np.abs(scaled).max()), float(np.ldexp(size, -shift)))
         varies = n > 1 and not np.ptp(scaled) <= ROUNDING * most
-        error = (
-            float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varies else None
-        )
+        error = None
+        if varies:
+            error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift))
         return float(np.ldexp(scaled.mean(), shift)), error
 
 
-def delta_error(
-    matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array
-) -> float:
-    """Delta method, root of the sum over recorded rows of Var(gradient) / n, variances
-    under ``frequency``.
+def delta_error(matrix: Csr, frequency: Array, totals: Array, gradient: Array) -> float:
+    """Compute a standard error by the delta method.
+
+    It is the root of the sum over recorded rows of Var(gradient) / n, with the
+    variances under ``frequency`` and the numbers n in ``totals``.
     """
     shift = exponent(gradient)
     gradient = np.ldexp(gradient, -shift)
@@ -230,10 +246,14 @@ def delta_error(
     )
 
 
-def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | None:
-    """A delta-method error; None where it is 0 though a row's next state matters.
+def error_or_none(
+    error: float, gradient: Array, indptr: NDArray[np.integer[Any]]
+) -> float | None:
+    """Return a delta-method error, or None where 0 would be wrong.
 
-    ``gradient`` of the value, on the entries of the simulator's rows.
+    An error of 0 is wrong where the next state of some row matters: what was recorded
+    did not vary. ``gradient`` is the value's, on the entries of the simulator's rows,
+    which begin at ``indptr``.
     """
     starts = indptr[:-1]
     reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(
@@ -245,24 +265,25 @@ def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | No
 
 
 def learnable_shares(problem: Problem, time: Array) -> Array:
-    """Shares of the policy's ``time`` (S, A), without states that no action leaves."""
+    """Compute the shares of the policy's time, without states that no action leaves.
+
+    ``time`` and the result have the shape (S, A).
+    """
     alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
     return np.asarray(alive / (float(alive.sum()) or 1.0))
 
 
 def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
-    """The share of the policy's time in recorded pairs, and the effective sample size.
+    """Compute the share of the policy's time in recorded pairs, and the sample size.
 
     ``shares`` (S, A) are those of ``learnable_shares``, ``counts`` (S, A) the log's.
-    The effective sample
-    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions drawn from
-    the policy's
-    occupancy have the same variance.
+    The effective sample size is (sum d)^2 / (sum d^2 / n) over recorded pairs: as many
+    transitions drawn from the policy's occupancy have the same variance.
     """
-    visited = counts > 0
-    d = shares[visited]
-    n = counts[visited]
-    missed = np.where(visited, 0.0, shares)
+    recorded = counts > 0
+    d = shares[recorded]
+    n = counts[recorded]
+    missed = np.where(recorded, 0.0, shares)
     share = float(missed.sum())
     spread = float(np.sum(d * d / n))
     longest = np.argsort(-missed, axis=None, kind="stable")[:3]
@@ -275,22 +296,36 @@ def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
     }
 
 
-# what an estimator claims (testing.CLAIMS) that reads the log's counts alone
+# the claims (testing.CLAIMS) of an estimator that reads the log's counts alone
 OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
 
 
 class TabularEstimator:
-    """An estimator of the package: the arguments of calls and limits are checked here."""
+    """The base of the package's estimators, which checks arguments and adds findings.
+
+    A subclass defines ``estimate``, ``limit_of`` and ``claims``.
+    """
 
     @one_thread
     def __call__(
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
-        """Estimate J of ``policy`` in the target.
+        """Estimate the policy's value in the target.
 
-        ``seed`` is for rollouts, resamples and the simulator's data. The value is nan
-        if its sum diverges;
-        the status says why.
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : PolicyLike
+            The policy to evaluate.
+        seed : int, Generator or None, optional
+            The seed of rollouts, resamples and the simulator's data.
+
+        Returns
+        -------
+        Estimate
+            The value with its findings. It is nan if its sum diverges; the status says
+            why.
         """
         pi = require_policy(problem, policy)
         try:
@@ -307,8 +342,21 @@ class TabularEstimator:
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """The estimate of a checked policy, without the findings that its diagnostics
-        make.
+        """Estimate the value of a checked policy, without the findings it leads to.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of whatever is drawn.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
         """
         raise NotImplementedError
 
@@ -318,23 +366,40 @@ class TabularEstimator:
         target: FiniteMDP,
         policy: PolicyLike,
         *,
-        data_distribution: ArrayLike | None = None,
+        data_distribution: RealArrayLike | None = None,
         behavior_policy: PolicyLike | None = None,
         horizon: int | None = None,
     ) -> float:
-        """The exact population limit, bias included, of a policy's estimated value.
+        """Compute the exact limit of the estimated value as the log grows.
 
         Parameters
         ----------
-        simulator, target : FiniteMDP
-            The target inside the simulator's support where there are data.
-        policy : (S, A)
-        data_distribution : (S, A) or None
-            How pairs are recorded (None: evenly). Its support alone matters but for the
-            quotient of two
-            ratios, and with features.
-        behavior_policy : (S, A) of the log's episodes; None: one with support
-        horizon : positive int or None
+        simulator : FiniteMDP
+            The simulator.
+        target : FiniteMDP
+            The target, inside the simulator's support where there are data.
+        policy : PolicyLike
+            The policy to evaluate.
+        data_distribution : array_like of shape (S, A), optional
+            The share of the log's transitions in each state-action pair; None means
+            evenly. Only its support matters, except for the quotient of two ratios and
+            with features.
+        behavior_policy : PolicyLike, optional
+            The policy of the log's episodes; None means one that takes every action of
+            ``policy``.
+        horizon : int, optional
+            The number of rewards; None means the infinite discounted sum.
+
+        Returns
+        -------
+        float
+            The limit, bias included; not normalised.
+
+        Raises
+        ------
+        ValueError
+            If target and simulator do not match, or if the target has transitions
+            outside the simulator's support where there are data.
         """
         require_pair(target, simulator)
         share = np.full(
@@ -361,14 +426,25 @@ class TabularEstimator:
         )
 
     def limit_of(self, population: Population) -> float:
-        """The limit in a checked population."""
+        """Compute the limit in a checked population.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+        """
         raise NotImplementedError
 
 
 RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
-# as many simulated moves as the log has
+# for methods that draw as many simulated transitions as the log has
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})
-# methods that need no options, and what they claim
+# the methods that a name stands for, and what they claim
 CLAIMS_OF_METHODS: Mapping[str, frozenset[str]] = {
     "conditional": OF_COUNTS | {"consistent", "shift"},
     "ratio_of_ratios": _SAMPLED,  # its rows have any sum
@@ -377,7 +453,7 @@ CLAIMS_OF_METHODS: Mapping[str, frozenset[str]] = {
 
 
 class RatioEstimator(TabularEstimator):
-    """An estimator with a zeta: given, or fitted as ``ratio`` says."""
+    """The base of estimators that use a ratio zeta, given or fitted to the log."""
 
     ratio: RatioOption
 
@@ -396,8 +472,21 @@ class RatioEstimator(TabularEstimator):
     def fit(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> TransitionRatio:
-        """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of
-        "conditional".
+        """Fit zeta to the log, as ``ratio`` says.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy to evaluate; its state values are a direction of "conditional".
+        generator : numpy.random.Generator
+            The source of simulated data, for methods that need them.
+
+        Returns
+        -------
+        TransitionRatio
+            The ratio on the simulator's support.
         """
         if isinstance(self.ratio, TransitionRatio):
             zeta = self.ratio
@@ -423,11 +512,23 @@ class RatioEstimator(TabularEstimator):
 
     @property
     def _method(self) -> Method:
+        """Return the method that ``ratio`` is or names."""
         assert isinstance(self.ratio, str | Method)
         return method_named(self.ratio) if isinstance(self.ratio, str) else self.ratio
 
     def limit_model(self, population: Population) -> ReweightedModel:
-        """zeta * P with the zeta that infinitely many transitions would give."""
+        """Return zeta * P with the zeta that infinitely many transitions would give.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target and how the data are recorded.
+
+        Returns
+        -------
+        ReweightedModel
+            The corrected simulator in the limit.
+        """
         simulator = population.simulator
         if isinstance(self.ratio, TransitionRatio):
             return reweight(simulator, self.ratio)
@@ -437,8 +538,9 @@ class RatioEstimator(TabularEstimator):
 
     @property
     def model_claims(self) -> frozenset[str]:
-        """What the exact value of zeta * P claims; a zeta that is given is right for
-        one pair only.
+        """Return the claims of the exact value of zeta * P.
+
+        A zeta that is given is right for one pair of environments only.
         """
         if isinstance(self.ratio, TransitionRatio):
             return (

@@ -1,6 +1,4 @@
-"""Off-environment evaluation: the value of the simulator reweighted by an estimated
-zeta.
-"""
+"""Off-environment evaluation: the value of the simulator reweighted by zeta."""
 
 from __future__ import annotations
 
@@ -53,70 +51,81 @@ NORMAL = NormalDist().inv_cdf(0.975)
 # interpolated in the logarithm of the ratio; the first, below 1, is a guess.
 VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
 THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
-# standard errors of their difference between the value and maximum likelihood's that
-# are worth a word
+# distance of the value from maximum likelihood's, in standard errors of their difference,
+# above which a finding reports it
 CONTRADICTION = 2.0
-# of a ratio, that are diagnostics of its value
+# details of a ratio that become diagnostics of the value
 DETAILS = ("strength", "meaning", "n_keys")
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
 @dataclass(frozen=True)
 class OffEnvironment(RatioEstimator):
-    """The default: the value of the corrected simulator zeta * P (eq. 4.2), moved
-    towards the log.
+    """Off-environment evaluation, the default: the value of the corrected simulator.
 
-    zeta is shrunk to a prior. The paper's own estimator is
+    The simulator's transition probabilities P are multiplied by a ratio zeta that is
+    fitted to the log and shrunk to a prior; the value of zeta * P (eq. 4.2) is then
+    moved towards the log, where that contradicts it. The paper's own estimator is
     ``OffEnvironment(Quotient(normalized=False), evaluation="monte_carlo")``.
 
     Parameters
     ----------
-    ratio : "conditional" | "ratio_of_ratios" | "joint", a Method, a TransitionRatio, or
-        a function
-        A method of ``oee.ratio`` with its options (``Conditional(...)``,
-        ``Quotient(normalized=False)``, the paper's own); or (log, simulator) ->
-        TransitionRatio
-        (``functools.partial(oee.transition_ratio, strength=3.0)``), which gets the
-        counts where the problem
-        was given counts.
-    evaluation : "exact" | "monte_carlo"
+    ratio : str, Method, TransitionRatio or callable, default 'conditional'
+        The source of zeta. A name ("conditional", "ratio_of_ratios" or "joint") or a
+        method of ``oee.ratio`` with its options (``Conditional(...)``, the paper's own
+        ``Quotient(normalized=False)``) is fitted to the log; a ``TransitionRatio`` is
+        used as it is; a function (log, simulator) -> TransitionRatio, such as
+        ``functools.partial(oee.transition_ratio, strength=3.0)``, is called, with the
+        counts for the log where the problem was given counts.
+    evaluation : {'exact', 'monte_carlo'}, default 'exact'
         Dynamic programming in zeta * P (no product of ratios, no variance), or the
-        paper's product of ratios
-        on rollouts of the simulator.
-    weighting : "per_decision" | "trajectory", for "monte_carlo"
-    self_normalized : bool, for "monte_carlo": divide by the sum of the weights
-    n_rollouts : int, for "monte_carlo": the episodes of ``sample_returns``
+        paper's product of ratios on rollouts of the simulator.
+    weighting : {'per_decision', 'trajectory'}, default 'per_decision'
+        For "monte_carlo": whether a reward is multiplied by the ratios up to its step,
+        or by those of the whole episode.
+    self_normalized : bool, default False
+        For "monte_carlo": whether the sum is divided by the sum of the weights.
+    n_rollouts : int, default 100
+        For "monte_carlo": the number of simulated episodes, which are those of
+        ``sample_returns``.
+
+    See Also
+    --------
+    ModelBased : The maximum-likelihood model of the log, without a simulator.
+    DoublyRobust : The simulator's value, and the log's residuals on top of it.
+    oee_tabular.transition_ratio : The ratio itself.
 
     Notes
     -----
-    Limit with "conditional", as n grows: J(P_target) if the log covers the policy;
-    unrecorded pairs have the prior (the tilted simulator). ``Estimate.value`` is J(zeta
-    P), the exact value of the corrected simulator (``model_value``), moved towards the
-    log by a soft threshold:
+    As the log grows, the value with "conditional" converges to J of the target if the
+    log covers the policy; unrecorded pairs have the prior (the tilted simulator).
 
-        J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
+    ``Estimate.value`` is J(zeta P), the exact value of the corrected simulator
+    (``model_value``), moved towards the log by a soft threshold::
 
-    change is the difference to the one-step value or to that of maximum likelihood,
-    whichever is nearer (0 if they lie on two sides): the first is linear in the log's
-    frequencies and can overshoot, the second has a
-    large variance with few transitions. If the nearer is more than 2 s away, change
-    goes on towards maximum likelihood, and reaches it at 4 s: the error of the first
-    order is then larger than the noise. s is the standard error of the difference of
-    the two values, se that of the one-step value, se_fit that of zeta * P
-    if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the
-    more evidence the log
-    needs against it. Its values minimise the largest regret over all biases of the
-    prior [1].
+        J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2
 
-    ``Estimate.standard_error`` is sqrt(sum over recorded rows of Var(G) / n + sum over
-    the others of Var(G)),
-    G the derivative of J in zeta * P, variances under zeta * P; ``interval`` is the
-    value +- 1.96 of it. The narrower ``standard_error_if_centre_fits`` includes
-    sampling noise alone. With "monte_carlo" the standard error is that of the rollouts
-    given zeta, too small if weights have heavy tails.
+    Here change is the difference to the one-step value or to that of maximum
+    likelihood, whichever is nearer (0 if they lie on two sides): the first is linear in
+    the log's frequencies and can overshoot, the second has a large variance with few
+    transitions. If the nearer is more than 2 s away, change goes on towards maximum
+    likelihood, and reaches it at 4 s: the error of the first order is then larger than
+    the noise. s is the standard error of the difference of the two values, se that of
+    the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with
+    s / se_fit: the more the prior can gain, the more evidence the log needs against it.
+    Its values minimise the largest regret over all biases of the prior [1]_.
 
-    Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification,
-    arXiv 2305.14265.
+    ``Estimate.standard_error`` is the root of the sum over recorded rows of Var(G) / n
+    and over the others of Var(G), with G the derivative of J in zeta * P, and variances
+    under zeta * P; ``interval`` is the value ± 1.96 of it. The narrower
+    ``standard_error_if_centre_fits`` includes sampling noise alone. With "monte_carlo"
+    the standard error is that of the rollouts given zeta, which is too small if weights
+    have heavy tails.
+
+    References
+    ----------
+    .. [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification,
+       arXiv 2305.14265.
 
     Examples
     --------
@@ -143,7 +152,22 @@ class OffEnvironment(RatioEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """J in zeta * P, moved towards the log; or the mean of weighted rollouts."""
+        """Compute J in zeta * P, moved towards the log, or the mean of the rollouts.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of the rollouts, and of simulated data for zeta.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)
@@ -151,8 +175,10 @@ class OffEnvironment(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``. Products move with the rewards only over the sum
-        of their weights.
+        """Return what the estimator claims, in words of ``testing.CLAIMS``.
+
+        Sums of weighted rewards do not shift with the rewards, unless they are divided
+        by the sum of the weights.
         """
         if self.evaluation == "exact":
             return self.model_claims
@@ -167,9 +193,7 @@ class OffEnvironment(RatioEstimator):
         policy: Array,
         generator: np.random.Generator,
     ) -> Estimate:
-        """J by rollouts of the simulator weighted by products of zeta: the episodes of
-        ``sample_returns``.
-        """
+        """Average rollouts of the simulator, weighted by products of zeta."""
         model = problem.model
         per_decision = self.weighting == "per_decision"
         n_steps = horizon_length(
@@ -215,13 +239,24 @@ class OffEnvironment(RatioEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """J of the limit of zeta * P; of the product of ratios the mean of what is
-        averaged.
+        """Compute J of the limit of zeta * P, or the mean of the weighted rollouts.
 
-        "conditional": the target's rows where the data are, the prior's elsewhere.
-        "ratio_of_ratios", "joint": the box-clipped quotient, against the simulator's
-        exact occupancy under the behaviour policy (that of the data where none is
-        given).
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+
+        Notes
+        -----
+        The limit of "conditional" has the target's rows where the data are, and the
+        prior's elsewhere. That of "ratio_of_ratios" and "joint" is the quotient clipped
+        to its box, against the simulator's exact occupancy under the behaviour policy
+        (under the policy of the data where none is given).
         """
         model = self.limit_model(population)
         simulator = population.simulator
@@ -248,9 +283,7 @@ class OffEnvironment(RatioEstimator):
 def _estimate_exactly(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> Estimate:
-    """J of zeta * P by dynamic programming, moved towards the log where rows of zeta *
-    P are probabilities.
-    """
+    """Compute J of zeta * P, moved towards the log where its rows sum to 1."""
     model = reweight(problem.model, zeta)
     result = evaluate_policy(model, policy, horizon=problem.horizon)
     exact = Estimate(
@@ -285,8 +318,10 @@ def _estimate_exactly(
 def _move(
     exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array
 ) -> Estimate:
-    """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the
-    maximum-likelihood model.
+    """Move J(zeta P) towards the log by the soft threshold.
+
+    ``ml_value`` is J of the maximum-likelihood model, and ``gradient`` that of J in
+    zeta * P. Without standard errors of a fit the estimate stays as it is.
     """
     se_fit = zeta.log_standard_error(gradient)
     step = zeta.one_step(gradient)
@@ -301,14 +336,14 @@ def _move(
     )
     if not np.isfinite(known).all():
         return exact  # rewards near the largest float
-    shared = min(se_fit / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
-    # of the difference of the two values
+    shared = 1.0
+    if step.standard_error > 0:
+        shared = min(se_fit / step.standard_error, 1.0)
+    # the standard error of the difference of the two values
     s = float(step.standard_error * np.sqrt(1.0 - shared**2))
-    change = (
-        0.0
-        if ml_value is None
-        else change_to_log(step.change, ml_value - exact.value, s)
-    )
+    change = 0.0
+    if ml_value is not None:
+        change = change_to_log(step.change, ml_value - exact.value, s)
     rest = min(abs(change), threshold(s, se_fit) * s)
     share_moved = 1.0 - rest / abs(change) if change else 0.0
     value = exact.value + share_moved * change
@@ -330,14 +365,14 @@ def _move(
         if abs(value - ml_value) > CONTRADICTION * s > 0.0:
             warnings = findings.conflict_with_log(ml_value, abs(value - ml_value) / s)
     certain = error_or_none(error, gradient, zeta.values.indptr)
-    has_interval = certain is not None and np.isfinite(error)
+    interval = None
+    if certain is not None and np.isfinite(error):
+        interval = (value - NORMAL * error, value + NORMAL * error)
     return replace(
         exact,
         value=value,
         standard_error=certain,
-        interval=(
-            (value - NORMAL * error, value + NORMAL * error) if has_interval else None
-        ),
+        interval=interval,
         diagnostics=exact.diagnostics | diagnostics,
         findings=warnings,
         is_normal=True,
@@ -345,8 +380,10 @@ def _move(
 
 
 def threshold(s: float, se_fit: float) -> float:
-    """lambda of the soft threshold, by the ratio of ``s``, the standard error of the
-    two values' difference, to ``se_fit``.
+    """Compute lambda of the soft threshold, in standard errors ``s``.
+
+    ``s`` is the standard error of the difference of the two values, ``se_fit`` that of
+    zeta * P if its prior fits; lambda depends on their ratio.
     """
     if not se_fit > 0.0:
         return THRESHOLDS[-1]
@@ -357,8 +394,10 @@ def threshold(s: float, se_fit: float) -> float:
 def _maximum_likelihood_value(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> float | None:
-    """None without one, or where at discount 1 states with rewards keep the policy for
-    ever.
+    """Compute J under the maximum-likelihood rows, or return None.
+
+    There is none where zeta has no such rows, or where at discount 1 the policy need
+    not leave states with rewards.
     """
     rows = zeta.maximum_likelihood_rows
     if rows is None:
@@ -372,11 +411,11 @@ def _maximum_likelihood_value(
 
 
 def change_to_log(one_step: float, likelihood: float, s: float) -> float:
-    """The change towards the log: to the nearer of two values, 0 if they lie on two
-    sides.
+    """Compute the change towards the log, from the changes to two values of it.
 
-    If the nearer is 2 to 4 times ``s``, the standard error of the difference, away,
-    partly to maximum likelihood's.
+    It is the smaller of the two, and 0 if they have different signs. If the smaller is
+    2 to 4 times ``s``, the standard error of the difference, the change goes partly to
+    maximum likelihood's value; beyond that, all the way.
     """
     if one_step * likelihood <= 0:
         return 0.0

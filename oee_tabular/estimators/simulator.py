@@ -1,16 +1,15 @@
-"""The two ends of the scale: the simulator as it is, and the oracle that knows the true
-ratio.
+"""The simulator as it is, and the oracle that knows the true ratio.
 
 A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error
-of its own. By the
-delta method, with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``),
-D(s, a) the discounted time in (s, a), n(s, a) samples of each pair and m first states,
+of its own. By the delta method, with G(s, a, s') = dJ / dP(s' | s, a)
+(``exact.transition_gradient``), D(s, a) the discounted time in (s, a), n(s, a) samples
+of each pair and m first states::
 
     Var J = sum_(s, a) Var_(s' ~ P(. | s, a)) G(s, a, s') / (n(s, a) - 1) + Var_mu V / m
             + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of the transition).
 
-n - 1, since P is the frequency of these samples. A pair without two samples has no
-variance to show.
+The divisor is n - 1, since P is the frequency of these samples. A pair without two
+samples has no variance to show.
 """
 
 from __future__ import annotations
@@ -41,19 +40,29 @@ from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array
 
-# of the policy's time in pairs with one sample or none: above it there is no interval
+# share of the policy's time in pairs with one sample or none above which there is no
+# interval
 MAX_UNKNOWN_SHARE = 0.1
-N_FEW = 10  # samples: with fewer, a normal interval is a guess
-MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentence
+N_FEW = 10  # with fewer samples of a pair a normal interval is a guess
+# share of the policy's discounted time below which there is no finding
+MIN_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Simulator(TabularEstimator):
-    """J in the simulator itself, with its own rewards; the log is not used.
+    """The policy's value in the simulator itself, without the log.
 
-    If the simulator was made of samples, the value has a standard error and a 95%
-    interval. Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target
-    - P_simulator) V_simulator>.
+    Rewards are the simulator's own. If the simulator was made of samples, the value has
+    a standard error and a 95% interval.
+
+    See Also
+    --------
+    OffEnvironment : The value in the simulator as the log corrects it.
+
+    Notes
+    -----
+    The limit is J in the simulator. By the simulation lemma its error is
+    gamma / (1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
 
     Examples
     --------
@@ -68,7 +77,22 @@ class Simulator(TabularEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact."""
+        """Compute the exact value in the simulator.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator; its log is not used.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            Not used.
+
+        Returns
+        -------
+        Estimate
+            The value, with a standard error where the simulator was sampled.
+        """
         simulator = problem.simulator
         sampling = problem.simulator.sampling
         result = evaluate_policy(simulator, policy, horizon=problem.horizon)
@@ -90,12 +114,13 @@ class Simulator(TabularEstimator):
         if not reach > ROUNDING * abs(result.value):  # the samples never varied
             return replace(exact, findings=warnings)
         source = "simulator's samples"
+        interval = None
+        if has_interval:
+            interval = (result.value - reach, result.value + reach)
         return replace(
             exact,
             standard_error=error,
-            interval=(
-                (result.value - reach, result.value + reach) if has_interval else None
-            ),
+            interval=interval,
             diagnostics=exact.diagnostics
             | {
                 "standard_error_of": source,
@@ -107,7 +132,18 @@ class Simulator(TabularEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """J in the simulator."""
+        """Compute J in the simulator.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy and horizon.
+
+        Returns
+        -------
+        float
+            The value in the simulator; not normalised.
+        """
         return population.value(population.simulator)
 
 
@@ -118,8 +154,9 @@ def _sampling_error(
     values: Array,
     share: Array,
 ) -> float:
-    """The standard error of J by the equation above; ``share`` (S*A,) of the policy's
-    time.
+    """Compute the standard error of J, by the equation at the top of this file.
+
+    ``share`` (S*A,) is that of the policy's time in each state-action pair.
     """
     sampling = simulator.sampling
     matrix = simulator.transitions
@@ -147,7 +184,7 @@ def _sampling_error(
 def _few_samples(
     n_samples: Array, share: Array, *, has_interval: bool
 ) -> tuple[findings.Finding, ...]:
-    """The policy goes where the simulator was hardly sampled."""
+    """Return a finding where the policy uses pairs with few samples, else nothing."""
     is_few = (share > 0.0) & (n_samples < N_FEW)
     time = float(share[is_few].sum())
     if time <= MIN_SHARE:
@@ -165,20 +202,32 @@ def _few_samples(
 
 @dataclass(frozen=True)
 class Oracle(TabularEstimator):
-    """The value under the true zeta of a known target: exactly, or as in the paper by
-    rollouts.
+    """The policy's value under the true zeta of a known target.
+
+    It is exact, or, as in the paper, an average over rollouts of the simulator.
 
     Parameters
     ----------
     target : FiniteMDP
-    evaluation : "exact" | "monte_carlo" (the paper's oracle: only the error of
-        averaging remains)
-    weighting, self_normalized, n_rollouts : as in ``OffEnvironment``
+        The target environment.
+    evaluation : {'exact', 'monte_carlo'}, default 'exact'
+        Dynamic programming in zeta * P, or the paper's oracle, whose only error is that
+        of averaging.
+    weighting : {'per_decision', 'trajectory'}, default 'per_decision'
+        For "monte_carlo": as in ``OffEnvironment``.
+    self_normalized : bool, default False
+        For "monte_carlo": whether the sum is divided by the sum of the weights.
+    n_rollouts : int, default 100
+        For "monte_carlo": the number of simulated episodes.
 
     Raises
     ------
     ValueError
-        When called: the target has transitions outside the simulator's support.
+        When called, if the target has transitions outside the simulator's support.
+
+    See Also
+    --------
+    OffEnvironment : The same with a zeta that is fitted to the log.
 
     Examples
     --------
@@ -205,25 +254,50 @@ class Oracle(TabularEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """``generator`` is for "monte_carlo"."""
+        """Compute the value under the true zeta.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator; its log is not used.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of the rollouts.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         by_zeta = self._evaluate_with(true_ratio(self.target, problem.simulator))
         return replace(by_zeta.estimate(problem, policy, generator), model_value=None)
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
+        """Return what the estimator claims, in words of ``testing.CLAIMS``."""
         known = self._evaluate_with("conditional").claims
         return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, population: Population) -> float:
-        """J of its own target in zeta * P, which ``target`` need not be; of the product
-        the mean of what is averaged.
+        """Compute J under the ratio of its own target, or the mean of the rollouts.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, policy and horizon; the target of the population is not used.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
         """
         return self._evaluate_with(
             true_ratio(self.target, population.simulator)
         ).limit_of(population)
 
     def _evaluate_with(self, ratio: RatioOption) -> OffEnvironment:
+        """Return off-environment evaluation with this ratio and the same options."""
         return OffEnvironment(
             ratio,
             self.evaluation,

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import __version__, _checks, _files
 from oee_tabular.estimators import Estimate, Problem
-from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
@@ -26,7 +25,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-VALUES = IN_VALUES_UNIT | {  # columns that (1 - discount) multiplies
+# columns of the report's own that (1 - discount) multiplies; diagnostics know theirs
+VALUES = {
     "value",
     "standard_error",
     "lower",
@@ -307,8 +307,9 @@ class Report:
             "status": estimate.status,
             "notes": list(self.notes.get((result.policy, result.estimator), ())),
         }
+        row = self._in_unit(row)
         # diagnostics stand after the columns, and never replace one of them
-        return self._in_unit(row | estimate.diagnostics | row)
+        return {**row, **estimate.diagnostics.scaled(self.scale), **row}
 
     def _in_unit(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return a row whose values are multiplied by the report's scale."""

@@ -338,7 +338,7 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
     value = estimate.value
     error = estimate.standard_error
-    facts = estimate.diagnostics
+    facts: dict[str, Any] = estimate.diagnostics
     if estimate.interval is not None:
         if not estimate.is_normal or level == OWN_LEVEL:
             return estimate
