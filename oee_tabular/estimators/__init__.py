@@ -1,46 +1,52 @@
-"""Estimators of a policy's value in the target: ``estimator(problem, policy, seed=...)
--> Estimate``.
+"""Estimators of a policy's value in the target environment.
 
-Objects. P (S*A, S) is the simulator, P* the target, mu (S,) the start, gamma the
-discount, pi (S, A) the policy, b (S, A) the log's. n(s, a, s') are the log's counts, f
-= n(s, a, s') / n(s, a) its frequencies; zeta = P* / P on the support of P, or an
-estimate. V_M, Q_M, J_M are values of pi in a model M, d_M(s, a) = sum_t gamma^t Pr(s_t
-= s, a_t = a), m = zeta P unless said otherwise. Along a path W_t = zeta_1 ... zeta_t
-and rho_t = product of pi / b up to t::
+An estimator is called as ``estimator(problem, policy, seed=...)`` and returns an
+``Estimate``. In the overview P (S*A, S) is the simulator, P* the target, mu (S,) the
+initial distribution, gamma the discount, pi (S, A) the policy and b (S, A) that of the
+log. n(s, a, s') are the log's counts, and f = n(s, a, s') / n(s, a) its frequencies;
+zeta is P* / P on the support of P, or an estimate of it, and m = zeta P unless said
+otherwise. V_M, Q_M and J_M are values of pi in a model M, and d_M(s, a) = sum_t gamma^t
+Pr(s_t = s, a_t = a) are its occupancies. Along a path W_t = zeta_1 ... zeta_t, and
+rho_t is the product of pi / b up to t.
 
-    Simulator           J_P                                                                      simulator
-    OffEnvironment      J_m (eq. 4.2), moved towards the log where that contradicts it           off_environment
-      "monte_carlo"     mean over rollouts in P of sum_t gamma^t W r_t                           rollouts
-    Oracle              the same with the true zeta                                              simulator
-    ModelBased          J_f (fitted Q evaluation in a table)                                     model_based
-    ImportanceSampling  mean over episodes of sum_t gamma^t rho_t r_t (eq. 3.5)                  importance_sampling
-    DoublyRobust        J_P + sum d_m (f - P) (r + gamma V_P)                                    doubly_robust
-      "rollouts"        D = sum_s' m (r + gamma V_P) + zeta (gamma D' - gamma V_P(s'))
-      "episodes"        D = V_m(s) + rho [r + gamma D' - Q_m(s, a)]  (Jiang & Li 2016)           doubly_robust
-    Magic               doubly robust for j steps, then V_m; weights on j by a quadratic
-                        program (Thomas & Brunskill 2016)                                        doubly_robust
-    Marginalized        E_log[beta w r] / (1 - gamma), beta = d_P / d_log, w = d_P* / d_P:
-                        d_m / d_P, or A^T theta = -(1 - gamma) E phi_0 (Katdare et al. 2023)     marginalized
-    DualDice            w = nu - gamma f^pi nu at the least of a quadratic (Nachum et al. 2019)  marginalized
+======================  ==============================================================
+Estimator               Value
+======================  ==============================================================
+``Simulator``           J_P.
+``OffEnvironment``      J_m (eq. 4.2), moved towards the log where that contradicts
+                        it; with evaluation "monte_carlo" the mean over rollouts in P
+                        of sum_t gamma^t W r_t.
+``Oracle``              The same with the true zeta.
+``ModelBased``          J_f (fitted Q evaluation in a table).
+``ImportanceSampling``  The mean over episodes of sum_t gamma^t rho_t r_t (eq. 3.5).
+``DoublyRobust``        J_P + sum d_m (f - P) (r + gamma V_P); with data "rollouts" or
+                        "episodes" a mean of sums with control variates (Jiang and Li
+                        2016).
+``Magic``               Doubly robust for j steps, then V_m; the weights of the j are
+                        those of a quadratic program (Thomas and Brunskill 2016).
+``Marginalized``        E_log[beta w r] / (1 - gamma), with beta = d_P / d_log and w =
+                        d_P* / d_P from d_m, or from features (Katdare et al. 2023).
+``DualDice``            The same w = nu - gamma f^pi nu at the least of a quadratic
+                        (Nachum et al. 2019).
+======================  ==============================================================
 
 ``estimator.limit(simulator, target, policy, ...)`` is the limit of the value as the log
-(and its rollouts)
-grow, bias included. Where the log covers the policy it is J_P* for all but the
-simulator, DoublyRobust(weights="beta") (an error of second order), clipped ratios, and
-features whose class lacks
-d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's
-(ModelBased), the simulator's (DoublyRobust, DualDice), or count nothing (Marginalized).
+(and the number of rollouts) grows, bias included. Where the log covers the policy it is
+J_P* except for the simulator, ``DoublyRobust(weights="beta")`` (an error of second
+order), clipped ratios, and features whose class lacks d_P* / d_P. In unrecorded pairs
+the model has the rows of the prior (OffEnvironment), of the fallback (ModelBased) or of
+the simulator (DoublyRobust, DualDice), or their reward counts as 0 (Marginalized).
 
-Standard errors are those of the log by the delta method, sqrt(sum over recorded pairs
-of Var_f(G) / n) with
-G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or
-rollouts. OffEnvironment takes the variances under zeta P, and adds Var(G) of each
-unrecorded pair inside the root.
+Standard errors are those of the log by the delta method, the root of the sum over
+recorded pairs of Var_f(G) / n with G = dJ / dP(s' | s, a)
+(``exact.transition_gradient``), or those of independent episodes or rollouts.
+OffEnvironment takes the variances under zeta P, and adds Var(G) of each unrecorded pair
+inside the root.
 
-``base`` has the common parts, ``problem`` checks the inputs (``rewards``: the log's),
-``functions`` makes estimators of functions (``as_estimator``), ``findings`` has the
-warnings, ``names`` the short names, ``calibrated`` removes the error of a discretised
-task.
+The parts that estimators share are in ``base`` and ``diagnostics``. ``problem`` checks
+the inputs (``rewards``: those of the log), ``functions`` makes estimators of functions
+(``as_estimator``), ``findings`` has the warnings, ``names`` the short names, and
+``calibrated`` removes the error of a discretised task.
 """
 
 from __future__ import annotations
@@ -54,6 +60,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.base import Estimate as Estimate
     from oee_tabular.estimators.base import Estimator as Estimator
     from oee_tabular.estimators.calibrated import calibrate as calibrate
+    from oee_tabular.estimators.diagnostics import Diagnostics as Diagnostics
     from oee_tabular.estimators.doubly_robust import DoublyRobust as DoublyRobust
     from oee_tabular.estimators.doubly_robust import Magic as Magic
     from oee_tabular.estimators.findings import Finding as Finding
@@ -68,10 +75,12 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.simulator import Oracle as Oracle
     from oee_tabular.estimators.simulator import Simulator as Simulator
 
-# of each file, imported on first use: ``oee --help`` reads the table of names alone
+# the public names of each file, which is imported on first use: ``oee --help`` needs the
+# table of short names alone
 _NAMES = {
     "base": "Estimate Estimator",
     "calibrated": "calibrate",
+    "diagnostics": "Diagnostics",
     "doubly_robust": "DoublyRobust Magic",
     "findings": "Finding",
     "importance_sampling": "ImportanceSampling",
@@ -86,6 +95,7 @@ __all__ = sorted(_FILE_OF)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
+    """Import a public name on its first use."""
     if name not in _FILE_OF:
         raise AttributeError(
             f"module 'oee_tabular.estimators' has no attribute {name!r}"

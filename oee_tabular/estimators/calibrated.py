@@ -1,22 +1,22 @@
-"""Calibration: taking out of an estimate what discretising has put into it.
+"""Calibration: the error of a discretised task, taken out of an estimate.
 
-A task's FiniteMDP values a policy at J_d, the task itself at J_c (by Monte Carlo). The
-difference is the discretisation's, and an estimate in the same finite states carries
-much the same:
+A policy has the value J_d in a task's FiniteMDP, and J_c in the task itself (by Monte
+Carlo). The difference is the error of the discretisation, and an estimate in the same
+finite states has much the same error:
 
-    ratio        J_hat * J_c / J_d        where returns have one sign, and the error is one of scale
-    difference   J_hat + J_c - J_d        where they change sign
+    ratio        J_hat * J_c / J_d    where returns have one sign (an error of scale)
+    difference   J_hat + J_c - J_d    where they change sign
 
-A calibrated value stands beside the raw one and never replaces it. It helps as far as
-the estimate and J_d
-see the cells alike: the simulator must be discretised at the log's own places
-(``tasks.discretize(task, log)``), or the estimate differs from J_d by where in its cell
-a state lies.
+A calibrated value is given beside the raw one and never replaces it. It helps only if
+the cells change the estimate and J_d alike: the simulator must be discretised at the
+log's own places (``tasks.discretize(task, log)``), or the estimate differs from J_d by
+where in its cell a state lies.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -35,31 +35,36 @@ def calibrate(
     discretised: float,
     continuous: float,
     continuous_error: float = 0.0,
-    kind: str = "ratio",
+    kind: Literal["ratio", "difference"] = "ratio",
 ) -> Estimate:
-    """Add a calibrated value to the diagnostics of an estimate; its own value is
-    unchanged.
+    """Add a calibrated value to the diagnostics of an estimate.
 
     Parameters
     ----------
-    estimate : the raw estimate, of a policy's value in the target
-    discretised : J_d, the same policy's exact value in the simulator's FiniteMDP, in
-        the estimate's unit
-    continuous : J_c, its value in the continuous simulator, by Monte Carlo
-    continuous_error : standard error of ``continuous``
-    kind : "ratio" | "difference"
+    estimate : Estimate
+        The raw estimate of a policy's value in the target.
+    discretised : float
+        J_d, the policy's exact value in the simulator's FiniteMDP, in the estimate's
+        unit.
+    continuous : float
+        J_c, the policy's value in the continuous simulator, by Monte Carlo.
+    continuous_error : float, default 0.0
+        The standard error of ``continuous``.
+    kind : {'ratio', 'difference'}, default 'ratio'
+        Whether the value is multiplied by J_c / J_d, or J_c - J_d is added to it.
 
     Returns
     -------
     Estimate
-        ``diagnostics["calibrated_value"]``; ``["calibrated_standard_error"]`` (the
-        estimate's own, carried along, and Monte Carlo's; None where the estimate has
-        none); ``["calibration"]``, what was done in words.
+        The same estimate, its own value unchanged, with three more diagnostics:
+        ``calibrated_value``; ``calibrated_standard_error`` (the estimate's own, scaled
+        likewise, and Monte Carlo's; None where the estimate has none); and
+        ``calibration``, a text that says what was done.
 
     Raises
     ------
     ValueError
-        Numbers that are not finite; "ratio" where the two values differ in sign or
+        If a number is not finite, or for "ratio" if the two values differ in sign or
         ``discretised`` is 0.
 
     Examples
@@ -89,11 +94,12 @@ def calibrate(
         slope = 1.0
         words = f"plus {truth:g} - {below:g} (simulator: continuous - discretised)"
     own = estimate.standard_error
+    calibrated_error = None
+    if own is not None:
+        calibrated_error = float(np.hypot(factor * own, slope * error))
     calibrated = {
         "calibrated_value": value,
-        "calibrated_standard_error": (
-            None if own is None else float(np.hypot(factor * own, slope * error))
-        ),
+        "calibrated_standard_error": calibrated_error,
         "calibration": f"{kind}: {words}",
     }
     return replace(estimate, diagnostics=estimate.diagnostics | calibrated)

@@ -1,6 +1,4 @@
-"""Doubly robust estimators: a model's value, and the log's residuals on top of it; and
-a blend of the two (MAGIC).
-"""
+"""Doubly robust estimators: a model's value, and the log's residuals on top of it."""
 
 from __future__ import annotations
 
@@ -49,36 +47,57 @@ from oee_tabular.typing import Array, IntArray
 
 @dataclass(frozen=True)
 class DoublyRobust(RatioEstimator):
-    """The doubly robust estimator: consistent if either of its two parts is.
+    """The doubly robust estimator, which is consistent if either of its parts is.
 
     Parameters
     ----------
-    data : "transitions" | "rollouts" | "episodes"
-        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))],
-        the simulator and the occupancy-weighted sim-to-real residual; exact given the
-        log, for any horizon (time sums inside). rollouts: on rollouts of the simulator,
-        D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))], m_t = sum_s'
-        zeta P V_sim: the paper's product with a control variate.
-        episodes: on the log's episodes, D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} -
-        Q(s_t, a_t)], V and Q of
-        zeta * P [1]; a truncated episode continues with V.
-    weights : "occupancy" | "beta", for transitions
-        w = d / d_log with d the occupancy in zeta * P, or in the simulator: then the
-        error is of second order
-        in the mismatch of the two environments, and no zeta is fitted
-    ratio : as in ``OffEnvironment``: the source of zeta
-    self_normalized : for episodes: the weights of each step divided by their sum
-        (weighted doubly robust [2])
-    n_rollouts : for rollouts
+    data : {'transitions', 'rollouts', 'episodes'}, default 'transitions'
+        The form of the estimator: the simulator's value and the log's weighted
+        residuals; rollouts of the simulator with a control variate; or the log's
+        episodes with a control variate (see Notes).
+    weights : {'occupancy', 'beta'}, default 'occupancy'
+        For "transitions": the weights w = d / d_log, with d the policy's occupancy in
+        zeta * P, or in the simulator. With the latter no zeta is fitted, and the error
+        is of second order in the mismatch of the two environments.
+    ratio : str, Method, TransitionRatio or callable, default 'conditional'
+        The source of zeta, as in ``OffEnvironment``.
+    self_normalized : bool, default False
+        For "episodes": whether the weights of each step are divided by their sum
+        (weighted doubly robust [2]_).
+    n_rollouts : int, default 100
+        For "rollouts": the number of simulated episodes.
+
+    See Also
+    --------
+    Magic : A blend of weighted doubly robust and the model.
+    OffEnvironment : The value of zeta * P itself.
 
     Notes
     -----
+    With "transitions" the estimate is exact given the log, for any horizon (time sums
+    inside)::
+
+        J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))]
+
+    With "rollouts" it is the mean over rollouts of the simulator of D_0, the paper's
+    product with a control variate, where m_t = sum_s' zeta P V_sim::
+
+        D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))]
+
+    With "episodes" it is the mean over the log's episodes of D_0, with V and Q of
+    zeta * P [1]_; a truncated episode continues with V::
+
+        D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} - Q(s_t, a_t)]
+
     On transitions with a zeta from the log the standard error is that of J(zeta * P),
-    since d is as uncertain
-    as the residual. Under a zeta that is given, or with "beta", d is known, and the
-    error is the residual's. Sources: [1] N. Jiang and L. Li, Doubly robust off-policy
-    value evaluation, ICML 2016. [2] P. Thomas and
-    E. Brunskill, Data-efficient off-policy policy evaluation, ICML 2016.
+    since d is as uncertain as the residual. Under a zeta that is given, or with "beta",
+    d is known, and the error is the residual's.
+
+    References
+    ----------
+    .. [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016.
+    .. [2] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation,
+       ICML 2016.
 
     Examples
     --------
@@ -110,7 +129,22 @@ class DoublyRobust(RatioEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """As ``data`` says."""
+        """Compute the estimate in the form that ``data`` names.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of rollouts, and of simulated data for zeta.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         needs_zeta = self.data != "transitions" or self.weights == "occupancy"
         zeta = self.fit(problem, policy, generator) if needs_zeta else None
         if zeta is None or self.data == "transitions":
@@ -125,7 +159,7 @@ class DoublyRobust(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
+        """Return what the estimator claims, in words of ``testing.CLAIMS``."""
         known = self.model_claims
         if self.data == "rollouts":
             return known | {"random"}
@@ -142,8 +176,11 @@ class DoublyRobust(RatioEstimator):
     def _correct_by_transitions(
         self, problem: Problem, policy: Array, zeta: TransitionRatio | None
     ) -> Estimate:
-        """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r +
-        gamma V_sim).
+        """Correct the simulator's value by the residuals of the recorded pairs.
+
+        The estimate is J_sim + sum over recorded pairs of d(s, a) sum_s' (f - P) (r +
+        gamma V_sim), with d the discounted time in the pair and f the log's
+        frequencies.
         """
         simulator = problem.model
         horizon = problem.horizon
@@ -188,6 +225,7 @@ class DoublyRobust(RatioEstimator):
         zeta: TransitionRatio,
         generator: np.random.Generator,
     ) -> Estimate:
+        """Average rollouts of the simulator, with the control variate."""
         model = problem.model
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
@@ -214,12 +252,25 @@ class DoublyRobust(RatioEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """The exact population limit.
+        """Compute the exact population limit.
 
-        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma
-        V_sim), x where the data are; rollouts: J of the limit of zeta * P; episodes:
-        J_target where the behaviour policy takes every action of the policy (None: it
-        does), else what the model makes of the rest (self-normalised: an error).
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+
+        Notes
+        -----
+        transitions: J_sim + sum over pairs with data of d(s, a) sum_s' (P_target -
+        P_sim) (r + gamma V_sim), with d the discounted time in the pair. rollouts: J of
+        the limit of zeta * P. episodes: J_target where the behaviour policy takes every
+        action of the policy, as it does by default; else the model stands for the rest
+        (self-normalised: an error).
         """
         simulator = population.simulator
         target = population.target
@@ -247,26 +298,39 @@ class DoublyRobust(RatioEstimator):
 
 @dataclass(frozen=True)
 class Magic(RatioEstimator):
-    """Model and guided importance sampling combining [1], on the log's episodes.
+    """MAGIC: a blend of weighted doubly robust and the model, on the log's episodes.
 
-    g_j uses weighted doubly robust for the first j steps and the model zeta * P after
-    them (j = 0: the model alone). The weights x on the simplex minimise x^T (Omega + b
-    b^T) x, Omega the covariance of the g_j over episodes and b_j how far g_j is from
-    the central half of the bootstrap distribution of g_T, the weights normalised again
-    on each resample (one without any weight at some step is left out).
+    The name stands for model and guided importance sampling combining [1]_.
 
     Parameters
     ----------
-    ratio : as in ``OffEnvironment``: the model
-    n_lengths : how many j are blended (spread evenly from 0 to T)
-    n_bootstrap : resamples of the episodes
+    ratio : str, Method, TransitionRatio or callable, default 'conditional'
+        The source of zeta, as in ``OffEnvironment``; the model is zeta * P.
+    n_lengths : int, default 25
+        The number of lengths j that are blended, spread evenly from 0 to T.
+    n_bootstrap : int, default 200
+        The number of resamples of the episodes.
+
+    See Also
+    --------
+    DoublyRobust : The doubly robust estimator alone.
 
     Notes
     -----
-    Limit: that of weighted doubly robust. The standard error treats the model as known,
-    and is too small if most of the weight is on it. Source: [1] P. Thomas and E.
-    Brunskill, Data-efficient off-policy policy
-    evaluation for reinforcement learning, ICML 2016.
+    The part g_j uses weighted doubly robust for the first j steps and the model after
+    them (j = 0: the model alone). The weights x on the simplex minimise x^T (Omega + b
+    b^T) x. Omega is the covariance of the g_j over episodes, and b_j the distance of
+    g_j from the central half of the bootstrap distribution of g_T; the weights are
+    normalised again on each resample, and a resample without any weight at some step is
+    left out.
+
+    The limit is that of weighted doubly robust. The standard error treats the model as
+    known, and is too small if most of the weight is on it.
+
+    References
+    ----------
+    .. [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation for
+       reinforcement learning, ICML 2016.
 
     Examples
     --------
@@ -289,7 +353,22 @@ class Magic(RatioEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """The blend."""
+        """Compute the blend.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of resamples, and of simulated data for zeta.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         zeta = self.fit(problem, policy, generator)
         terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=True)
         n, columns = terms.partial.shape
@@ -314,11 +393,22 @@ class Magic(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
+        """Return what the estimator claims, in words of ``testing.CLAIMS``."""
         return self.model_claims - {"after_end"} | {"consistent", "random"}
 
     def limit_of(self, population: Population) -> float:
-        """That of weighted doubly robust."""
+        """Compute the limit, which is that of weighted doubly robust.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+        """
         return DoublyRobust(
             data="episodes", ratio=self.ratio, self_normalized=True
         ).limit_of(population)
@@ -326,14 +416,21 @@ class Magic(RatioEstimator):
 
 @dataclass(frozen=True, eq=False)
 class EpisodeTerms:
-    """The doubly robust estimator on n episodes of at most T steps, V and Q of zeta * P
-    as control variates.
+    """The terms of the doubly robust estimator on n episodes of at most T steps.
 
-    The value is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti = rho_0
-    ... rho_{t-1} over n, or over their sum at t (both (T + 1, n); an episode that has
-    ended keeps its weight). ``partial`` (n, T + 1)
-    are its parts where the log is used for j = 0..T steps and the model's value after
-    them.
+    V and Q of zeta * P are the control variates. The value is the sum over steps t and
+    episodes i of share_ti gain_ti, where share_ti is the weight over n, or over the sum
+    of the weights at t.
+
+    Attributes
+    ----------
+    weights : ndarray of shape (T + 1, n)
+        The products rho_0 ... rho_{t-1}; an episode that has ended keeps its weight.
+    gains : ndarray of shape (T + 1, n)
+        What each weight multiplies.
+    partial : ndarray of shape (n, T + 1)
+        The parts of each episode where the log is used for j = 0..T steps and the
+        model's value after them.
     """
 
     weights: Array
@@ -349,36 +446,30 @@ class EpisodeTerms:
         *,
         self_normalized: bool,
     ) -> EpisodeTerms:
-        """The terms, nan where the weights to divide by are all 0."""
+        """Compute the terms, which are nan where the weights to divide by are all 0."""
         episodes = Episodes.from_problem(problem)
         model = reweight(problem.model, zeta)
-        log = episodes.log
         lengths = episodes.lengths
-        gamma = model.discount
         n = len(lengths)
         steps = int(lengths.max())
         v, q = _model_values(model, policy, problem.horizon, steps)
         t = np.arange(steps)[:, None]
-        used = np.minimum(np.arange(steps + 1)[:, None], lengths)
         place = episodes.starts[:-1] + np.minimum(t, lengths - 1)
-        rows = episodes.rows[place]
-        first = episodes.rows[episodes.starts[:-1]]
         weights = np.vstack([np.ones((1, n)), episodes.weights(problem, policy)[place]])
-        state = log.state[rows]
-        action = log.action[rows]
-        factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
-        # carries W_{t+1}
-        residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])
-        value = factor * v[t, state]  # carries W_t
-        before = first + np.maximum(used, 1) - 1
-        arrival = np.where(used == 0, log.state[first], log.next_state[before])
-        ended = (used == lengths) & episodes.is_over
-        # what the model says of the rest, after ``used`` steps
-        rest = np.where(ended, 0.0, gamma**used * v[used, arrival])
         with np.errstate(invalid="ignore"):
-            shares = weights / (
-                weights.sum(axis=1, keepdims=True) if self_normalized else n
-            )
+            divisor = weights.sum(axis=1, keepdims=True) if self_normalized else n
+            shares = weights / divisor
+
+        rows = episodes.rows[place]
+        state = episodes.log.state[rows]
+        action = episodes.log.action[rows]
+        rewards = problem.rewards_of(episodes.log)[rows]
+        factor = np.where(t < lengths, model.discount ** t.astype(np.float64), 0.0)
+        residual = factor * (rewards - q[t, state, action])  # its weight is W_{t+1}
+        value = factor * v[t, state]  # its weight is W_t
+        used = np.minimum(np.arange(steps + 1)[:, None], lengths)
+        rest = _values_of_the_rest(episodes, used, v, model.discount)
+
         gains = np.zeros((steps + 1, n))
         gains[1:] = residual
         gains[:-1] += value
@@ -391,14 +482,15 @@ class EpisodeTerms:
 
     @property
     def total(self) -> float:
-        """The value."""
+        """Return the value."""
         return float(self.partial[:, -1].sum())
 
     def resample(self, draws: IntArray) -> Array:
-        """(b,) self-normalised values of the resamples ``draws`` (b, n) of the
-        episodes, weights normalised on each.
+        """Compute the self-normalised value of each resample of the episodes.
 
-        nan where at some step all weights of a resample are 0.
+        Row b of ``draws`` (B, n) has the numbers of resample b's episodes; the weights
+        are normalised on each. A value is nan where at some step all weights of the
+        resample are 0.
         """
         n = len(self.partial)
         products = self.weights * self.gains
@@ -412,7 +504,7 @@ class EpisodeTerms:
     def estimate(
         self, zeta: TransitionRatio, value: float, error: float | None, **more: float
     ) -> Estimate:
-        """An estimate from the log's episodes; ``more`` joins the diagnostics."""
+        """Return the estimate with its diagnostics, to which ``more`` is added."""
         last = self.weights[-1]
         n = len(self.partial)
         effective = effective_sample_size(last)
@@ -432,10 +524,26 @@ class EpisodeTerms:
         )
 
 
+def _values_of_the_rest(
+    episodes: Episodes, used: IntArray, v: Array, gamma: float
+) -> Array:
+    """Compute the model's discounted value of what follows the first ``used`` steps.
+
+    ``used`` and the result are (T + 1, n): a column for each episode. The value is 0
+    where the episode has ended then.
+    """
+    log = episodes.log
+    first = episodes.rows[episodes.starts[:-1]]
+    before = first + np.maximum(used, 1) - 1
+    arrival = np.where(used == 0, log.state[first], log.next_state[before])
+    has_ended = (used == episodes.lengths) & episodes.is_over
+    return np.where(has_ended, 0.0, gamma**used * v[used, arrival])
+
+
 def _model_values(
     model: Model, policy: Array, horizon: int | None, steps: int
 ) -> tuple[Array, Array]:
-    """V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
+    """Compute V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
     if horizon is None:
         v = following = state_values(model, policy)[None]
     else:
@@ -449,7 +557,7 @@ def _model_values(
 
 
 def _episode_limit(population: Population, model: Model) -> float:
-    """The mean of D_0; J_target where the behaviour policy has support."""
+    """Compute the mean of D_0, which is J_target where the behaviour has support."""
     if population.behavior is None:
         return population.value(population.target)
     target = population.target
@@ -467,9 +575,9 @@ def _episode_limit(population: Population, model: Model) -> float:
 
 
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
-    """D_0 of each rollout, backward: D = m + zeta gamma (D' - V(s')), m = sum_s' zeta P
-    (r + gamma V(s')).
+    """Compute D_0 of each rollout by the backward recursion.
 
+    It is D = m + zeta gamma (D' - V(s')) with m = sum_s' zeta P (r + gamma V(s')).
     ``values`` (T + 1, S) are V; those after the last step change no mean.
     """
     matrix = model.transitions
@@ -493,16 +601,16 @@ def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
 
 
 def _minimize_on_simplex(matrix: Array) -> Array:
-    """argmin x^T A x over the simplex, A positive semidefinite.
+    """Minimise x^T A x over the simplex, with A positive semidefinite.
 
-    Nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2 over y >= 0 is a
-    multiple of it.
+    It is solved by nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2
+    over y >= 0 is a multiple of the solution.
     """
     values, vectors = np.linalg.eigh(matrix)
     scale = max(float(values.max()), 1e-300)
     root = (np.sqrt(np.maximum(values, 0.0) / scale) * vectors).T
     stacked = np.vstack([root, np.ones(len(matrix))])
-    from scipy.optimize import nnls  # a tenth of a second
+    from scipy.optimize import nnls  # its import takes a tenth of a second
 
     y, _ = nnls(stacked, np.append(np.zeros(len(root)), 1.0), maxiter=100 * len(matrix))
     return np.asarray(y / y.sum())

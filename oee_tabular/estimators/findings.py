@@ -1,5 +1,6 @@
-"""Findings: the warnings about an estimate. Functions return () where there is nothing
-to warn of.
+"""Findings, the warnings about an estimate.
+
+Functions that look for something return () where there is nothing to warn of.
 """
 
 from __future__ import annotations
@@ -11,32 +12,42 @@ from typing import Any
 
 from oee_tabular.typing import Array
 
-# below, or above, these something is worth a sentence
-MIN_SHARE = 0.02  # of the policy's discounted time
-MAX_ROW_SUM_ERROR = 1e-3
-# effective sample size, and its share of the episodes
-MIN_WEIGHTED = 10.0
-MIN_WEIGHTED_SHARE = 0.05
+# limits beyond which there is a finding
+MIN_SHARE = 0.02  # a share of the policy's discounted time
+MAX_ROW_SUM_ERROR = 1e-3  # a probability
+MIN_WEIGHTED = 10.0  # an effective sample size
+MIN_WEIGHTED_SHARE = 0.05  # an effective sample size, as a share of the episodes
 MAX_GAP = 1e-6  # nats
-MAX_ERROR_BOUND = 1e-6  # of the value
-# the kind of a value that rests on a few episodes; a short report leaves its row out
+MAX_ERROR_BOUND = 1e-6  # a share of the value
+# the kind of finding about values that rest on a few episodes, whose rows a short report
+# leaves out
 FEW_WEIGHTED = "weights"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning about a value; findings of one kind and text about policies make one
-    sentence.
+    """A warning about a value.
 
-    Attributes
+    A report makes one sentence of findings of one kind and text about several policies.
+
+    Parameters
     ----------
-    kind : a name for it
-    severity : the larger the worse, among findings of one kind
-        Of a problem's data 0 where no model's value depends on it.
-    text : a sentence, in which ``{}`` stands for the figure
-        "": no warning about a value that has an interval.
-    figure : what differs from policy to policy
-    alone : the sentence where the value has no interval, if that is another
+    kind : str
+        A name for this sort of warning.
+    severity : float
+        A number that is larger for the worse of two findings of one kind. Of a finding
+        about a problem's data it is 0 where no model's value depends on it.
+    text : str
+        A sentence, in which ``{}`` stands for the figure. It is "" where there is no
+        warning about a value that has an interval.
+    figure : str, default ''
+        The figure, which differs from policy to policy.
+    alone : str, optional
+        The sentence where the value has no interval, if that is another.
+
+    See Also
+    --------
+    Estimate : Its ``findings`` are such warnings.
 
     Examples
     --------
@@ -54,7 +65,18 @@ class Finding:
         return self.sentence(self.figure)
 
     def sentence(self, figure: str) -> str:
-        """The sentence with a figure."""
+        """Write the sentence with a figure.
+
+        Parameters
+        ----------
+        figure : str
+            What takes the place of ``{}``.
+
+        Returns
+        -------
+        str
+            The sentence.
+        """
         return self.text.replace("{}", figure)
 
 
@@ -83,7 +105,7 @@ SAMPLED = Finding(
 
 
 def no_value(status: str, value: float) -> Finding:
-    """Why a value is not to be used."""
+    """Say why a value is not to be used."""
     text = "do not rely on the value: {}." if math.isfinite(value) else "no value: {}."
     return Finding("status", 1.0, text, status)
 
@@ -91,30 +113,13 @@ def no_value(status: str, value: float) -> Finding:
 def from_diagnostics(
     facts: Mapping[str, Any], value: float, error: float | None
 ) -> Findings:
-    """What the diagnostics of any estimate have to say, ``error`` its standard error."""
-    findings: list[Finding] = []
+    """Return the findings that the diagnostics of an estimate lead to.
+
+    ``value`` and ``error`` are those of the estimate.
+    """
+    findings = list(_low_coverage(facts, error))
     has_source = facts.get("standard_error_of") is not None
-    unrecorded = facts.get("unrecorded_share", 0.0)
     single = facts.get("single_share", 0.0)
-    if unrecorded > MIN_SHARE:
-        is_tied = "n_keys" in facts
-        is_bare = error is not None and "unrecorded_standard_error" not in facts
-        text = (
-            "in this estimator's own model the policy spends {} of its discounted time"
-            " in unrecorded state-action pairs."
-        )
-        if is_tied:
-            text += " Transitions of the same key elsewhere stand for them."
-        elif is_bare:
-            text += " The standard error ignores them. Above 10% there is no interval."
-        alone = (
-            f"{text[:-1]}, so there is no interval."
-            if has_source and not is_tied and not is_bare
-            else None
-        )
-        findings.append(
-            Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone)
-        )
     if single > MIN_SHARE:
         alone = (
             "the policy spends {} of its discounted time in state-action pairs with one"
@@ -148,9 +153,8 @@ def from_diagnostics(
                 f"{gap:.1e}",
             )
         )
-    if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(
-        1.0, abs(value)
-    ):
+    bound = facts.get("error_bound", 0.0)
+    if bound > MAX_ERROR_BOUND * max(1.0, abs(value)):
         findings.append(
             Finding(
                 "linear algebra",
@@ -162,11 +166,31 @@ def from_diagnostics(
     return tuple(findings)
 
 
+def _low_coverage(facts: Mapping[str, Any], error: float | None) -> Findings:
+    """Warn of time that the policy spends in unrecorded state-action pairs."""
+    unrecorded = facts.get("unrecorded_share", 0.0)
+    if not unrecorded > MIN_SHARE:
+        return ()
+    text = (
+        "in this estimator's own model the policy spends {} of its discounted time"
+        " in unrecorded state-action pairs."
+    )
+    alone = None
+    if "n_keys" in facts:
+        text += " Transitions of the same key elsewhere stand for them."
+    elif error is not None and "unrecorded_standard_error" not in facts:
+        text += " The standard error ignores them. Above 10% there is no interval."
+    elif facts.get("standard_error_of") is not None:
+        alone = f"{text[:-1]}, so there is no interval."
+    return (Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone),)
+
+
 def truncation(
     number: int, episodes: int, bound: float, value: float, error: float | None
 ) -> Findings:
-    """``number`` of the episodes lack rewards that can change the value by up to
-    ``bound``.
+    """Warn of truncated episodes, whose missing rewards can change the value.
+
+    ``number`` of the ``episodes`` are truncated, and can change it by up to ``bound``.
     """
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
@@ -183,7 +207,7 @@ def truncation(
 
 
 def foreign_starts(share: float) -> Findings:
-    """Episodes begin where the simulator never does."""
+    """Warn of episodes that begin where the simulator never does."""
     text = (
         "{} of the episodes start where the simulator never does. Importance sampling"
         " estimates the value from the log's own initial states."
@@ -201,8 +225,10 @@ MADE_FROM_LOG = Finding(
 
 
 def conflict_with_log(ml_value: float, distance: float) -> Findings:
-    """The value is that of the corrected simulator, ``distance`` standard errors from
-    maximum likelihood's.
+    """Warn of a value that maximum likelihood contradicts.
+
+    The value is that of the corrected simulator; ``distance`` is in standard errors of
+    the difference.
     """
     text = (
         "Two estimates disagree. The value is that of the corrected simulator. Maximum"
@@ -215,7 +241,8 @@ def conflict_with_log(ml_value: float, distance: float) -> Findings:
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
-    """The log rules the estimator's own value out; ``end`` is "lower" or "upper"."""
+    """Warn of a value outside the interval, whose "lower" or "upper" ``end`` is given.
+    """
     text = (
         f"The estimator's own value, {value}, lies outside the interval. The table"
         f" gives the interval's {end} end instead."
@@ -224,9 +251,7 @@ def outside(value: str, severity: float, end: str) -> Finding:
 
 
 def missing_support(share: float, largest: float, nats: float) -> Findings:
-    """Transitions that only the defensive share of a continuous simulator makes
-    possible.
-    """
+    """Warn of transitions that only a simulator's defensive share makes possible."""
     text = (
         "{} of the log's transitions have probability 0 in the plain simulator, so"
         " they have no ratio. Their estimates rest on the defensive share (largest"
@@ -238,7 +263,7 @@ def missing_support(share: float, largest: float, nats: float) -> Findings:
 
 
 def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
-    """The log's rewards are not the simulator's."""
+    """Warn of rewards of the log that are not the simulator's."""
     if log_pays:
         remedy = "oee and model-based use the log's mean reward where it was observed."
     else:
@@ -253,21 +278,23 @@ def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
 
 
 def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
-    """Rows of the log's files that are none of a log's, and were not counted."""
+    """Warn of invalid rows of the log's files, which were not counted."""
     text = f"{rows} invalid rows of the log were not counted: {'; '.join(reasons)}."
     return (Finding("dropped", 0.0, text),) if rows else ()
 
 
 def moves_dropped(dropped: Array, kept: float) -> Findings:
-    """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside
-    ``kept`` in all.
+    """Warn of transitions that were left out as impossible in the simulator.
+
+    ``dropped`` is their number in each state-action pair, ``kept`` that of all others.
     """
     number = float(dropped.sum())
     pairs = int((dropped > 0).sum())
+    noun = "state-action pair" if pairs == 1 else "state-action pairs"
+    verb = "is" if number == 1 else "are"
     text = (
-        f"{number:g} of the log's {number + kept:g} transitions, in {pairs}"
-        f" state-action pair{'s' * (pairs > 1)}, {'is' if number == 1 else 'are'}"
-        " impossible in the simulator and left out of every model. Likelihood and"
+        f"{number:g} of the log's {number + kept:g} transitions, in {pairs} {noun},"
+        f" {verb} impossible in the simulator and left out of every model. Likelihood and"
         " guaranteed intervals let these transitions lead anywhere. Standard errors"
         " ignore them."
     )
@@ -275,7 +302,7 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
 
 
 def episodes_sampled(kept: int, of: int) -> Findings:
-    """Importance sampling uses some of the log's episodes."""
+    """Say that importance sampling uses a sample of the log's episodes."""
     text = (
         f"Importance sampling uses a sample of {kept} of the log's {of} episodes. The"
         " other estimators use every transition."
@@ -284,7 +311,7 @@ def episodes_sampled(kept: int, of: int) -> Findings:
 
 
 def behavior_contradicts(transitions: int) -> Findings:
-    """The behaviour policy that was given is not the log's."""
+    """Warn of a given behaviour policy that is not the log's."""
     text = (
         "The log's behaviour probabilities are used. They differ from behavior_policy"
         " in {} transitions."

@@ -1,6 +1,4 @@
-"""Functions as estimators: ``(problem, policy)`` or ``(problem, policy, seed)`` to a
-float or an ``Estimate``.
-"""
+"""Functions as estimators, from a problem and a policy to a float or an ``Estimate``."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from oee_tabular.estimators.problem import Problem
 from oee_tabular.exceptions import AnswerError, ArgumentError
 from oee_tabular.typing import PolicyLike, Seed
 
-# the diagnostic by which an Estimate says that the function's answer was a bare number
+# the diagnostic that is set where the function's answer was a bare number
 RETURNED = "returned"
 FORMS = (
     "a function (problem, policy) or (problem, policy, seed), an estimator, or a class"
@@ -25,12 +23,14 @@ FORMS = (
 
 @dataclass(frozen=True, eq=False)
 class FunctionEstimator:
-    """Somebody's callable as an estimator of the package's protocol.
+    """A callable as an estimator of the package's protocol.
 
     Attributes
     ----------
-    function : the callable
-    takes_seed : whether it has a parameter ``seed``
+    function : callable
+        The callable (problem, policy) or (problem, policy, seed).
+    takes_seed : bool
+        Whether it has a parameter ``seed``.
     """
 
     function: Any
@@ -39,41 +39,46 @@ class FunctionEstimator:
     def __call__(
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
-        """The function's answer as an ``Estimate``; AnswerError where it is neither a
-        number nor an ``Estimate``.
+        """Return the function's answer as an ``Estimate``.
+
+        An answer that is neither a number nor an ``Estimate`` is an ``AnswerError``.
         """
-        answer = self.function(
-            problem, policy, **({"seed": seed} if self.takes_seed else {})
-        )
+        options = {"seed": seed} if self.takes_seed else {}
+        answer = self.function(problem, policy, **options)
         if is_number(answer):
             return Estimate(float(answer), diagnostics={RETURNED: "float"})
         if isinstance(answer, Estimate):
             return answer
         kind = type(answer).__name__
-        hint = (
-            ": Estimate(value, standard_error) holds both"
-            if isinstance(answer, tuple)
-            else ""
-        )
+        hint = ""
+        if isinstance(answer, tuple):
+            hint = ": Estimate(value, standard_error) holds both"
         raise AnswerError(
             f"an estimator must return a float or an Estimate; it returned {kind}{hint}"
         )
 
 
 def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
-    """An estimator from a function, from another callable, or from a class or function
-    that makes one without arguments.
+    """Make an estimator of a callable.
 
     Parameters
     ----------
-    given : callable (problem, policy) or (problem, policy, seed) -> float or
-        ``Estimate``; seed is passed by its name
-    name : what errors call it
+    given : callable
+        A function or estimator (problem, policy) or (problem, policy, seed) that
+        returns a float or an ``Estimate``, where seed is passed by its name; or a class
+        or function that makes one without arguments.
+    name : str, default 'estimator'
+        The name of the argument in errors.
+
+    Returns
+    -------
+    FunctionEstimator
+        The estimator.
 
     Raises
     ------
     ValueError
-        An object that cannot be called, or has another signature; a class that cannot
+        If the object cannot be called or has another signature, or if the class cannot
         be made without arguments.
 
     Examples
@@ -86,7 +91,7 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
     Estimate(2.66061)
     >>> as_estimator(lambda log: 1.0)
     Traceback (most recent call last):
-    ValueError: estimator must be callable as (problem, policy) or (problem, policy, seed); it takes (log)
+    oee_tabular.exceptions.ArgumentError: estimator must be callable as (problem, policy) or (problem, policy, seed); it takes (log)
     """
     if not callable(given):
         raise ArgumentError(name, f"must be {FORMS}; got {type(given).__name__}")
@@ -118,15 +123,16 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
 
 
 def is_number(value: object) -> bool:
-    """A Python or numpy real number (no boolean)."""
+    """Return whether a value is a Python or numpy real number, and no boolean."""
     return isinstance(value, float | int | np.floating | np.integer) and not isinstance(
         value, bool
     )
 
 
 def _accepts(function: Any, *arguments: object, **options: object) -> bool:
-    """Whether a call with these arguments is possible; a callable that does not tell
-    its parameters takes the protocol's.
+    """Return whether a call with these arguments is possible.
+
+    A callable that does not tell its parameters is taken to have the protocol's.
     """
     try:
         inspect.signature(function).bind(*arguments, **options)

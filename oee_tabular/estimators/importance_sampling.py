@@ -1,8 +1,7 @@
-"""Policy importance sampling on the log's episodes, which never uses the simulator's
-transition probabilities.
+"""Importance sampling on the log's episodes, without transition probabilities.
 
-Of the simulator it reads the discount, the absorbing states, the support of the start,
-and the rewards (its own where the log has none, and to bound what is missing).
+Of the simulator it reads the discount, the absorbing states, the support of the initial
+distribution, and the rewards (where the log has none, and to bound what is missing).
 """
 
 from __future__ import annotations
@@ -36,14 +35,15 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, BoolArray, IntArray
 
-LARGEST_WEIGHT = 1e150  # its square is still a float
+LARGEST_WEIGHT = 1e150  # the square of a larger weight is no float any more
 
 
 class Episodes(NamedTuple):
     """The log's n episodes within the horizon.
 
-    ``rows`` of the log, one episode after the other: that of episode i in starts[i] to
-    starts[i + 1]. ``is_over`` (n,) says which have ended then.
+    ``rows`` are the rows of the log, one episode after the other: those of episode i
+    are rows[starts[i]] to rows[starts[i + 1] - 1]. ``is_over`` (n,) says which episodes
+    have ended after their last row.
     """
 
     log: Transitions
@@ -53,7 +53,7 @@ class Episodes(NamedTuple):
 
     @classmethod
     def from_problem(cls, problem: Problem) -> Episodes:
-        """Those of ``problem.recorded``."""
+        """Cut the recorded episodes of a problem at its horizon."""
         log = problem.recorded
         if log.episode_starts is None:
             raise ValueError(
@@ -73,21 +73,22 @@ class Episodes(NamedTuple):
 
     @property
     def lengths(self) -> IntArray:
-        """(n,) how many steps they have."""
+        """Return the number of steps of each episode, (n,)."""
         return np.diff(self.starts)
 
     def weights(
         self, problem: Problem, policy: Array, *, is_estimated: bool = False
     ) -> Array:
-        """rho_0 ... rho_t of each of ``rows``, rho = policy / behaviour."""
+        """Compute the weight rho_0 ... rho_t of each row, rho = policy / behaviour."""
         with np.errstate(over="ignore"):
             ratio = _behavior_ratios(problem, policy, is_estimated=is_estimated)
             return segment_products(ratio[self.rows], self.starts)
 
 
 def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> Array:
-    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is
-    over.
+    """Compute policy(a | s) / behaviour(a | s) of each row of the log.
+
+    It is 1 in absorbing states, where actions change nothing.
     """
     log = problem.recorded
     if is_estimated:
@@ -110,7 +111,7 @@ def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> 
 
 
 def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
-    """The recorded probability of each action, or that of ``behavior_policy``."""
+    """Return the recorded probability of each action, or ``behavior_policy``'s."""
     if log.behavior_probability is not None:
         probability = log.behavior_probability
         name = "log.behavior_probability"
@@ -135,30 +136,36 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
 
 @dataclass(frozen=True)
 class ImportanceSampling(TabularEstimator):
-    """Importance sampling: episodes of the log weighted by products of policy(a|s) /
-    behaviour(a|s).
+    """Importance sampling: the log's episodes, weighted by products of policy ratios.
+
+    The ratio of a step is rho = policy(a | s) / behaviour(a | s).
 
     Parameters
     ----------
-    kind : "trajectory" | "per_decision"
-        The whole product on every reward, or at step t the product up to t.
-    self_normalized : bool
-        Divide by the sum of the weights (weighted importance sampling), per step for
-        per_decision.
-    ragged : "pad" | "zero"
-        In self-normalised per-decision sampling, an ended episode keeps its last weight
-        in the normaliser of later steps, or has weight 0 (which estimates E[r_t | not
-        ended], another quantity).
-    behavior : "recorded" | "estimated"
+    kind : {'trajectory', 'per_decision'}, default 'per_decision'
+        The weight of a reward: the product over the whole episode, or over the steps up
+        to the reward's own (eq. 3.5).
+    self_normalized : bool, default False
+        Whether the sum is divided by the sum of the weights (weighted importance
+        sampling); for "per_decision", at each step.
+    ragged : {'pad', 'zero'}, default 'pad'
+        For self-normalised "per_decision": whether an episode that has ended keeps its
+        last weight in the sums of later steps, or has weight 0 there, which estimates
+        another quantity, E[r_t | not ended].
+    behavior : {'recorded', 'estimated'}, default 'recorded'
         The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the
         log's action frequencies.
 
+    See Also
+    --------
+    DoublyRobust : The same episodes with a model as control variate.
+
     Notes
     -----
-    Limit, plain: J(P_target) where the behaviour policy takes every action that the
-    policy takes, from the
-    starts of the log's episodes. Episodes that were truncated before the horizon lack
-    their later rewards: ``truncation_bias_bound`` bounds the bias.
+    The plain estimators converge to J of the target, from the initial states of the
+    log's episodes, if the behaviour policy takes every action that the policy takes.
+    Episodes that were truncated before the horizon lack their later rewards; the
+    diagnostic ``truncation_bias_bound`` bounds the bias.
 
     Examples
     --------
@@ -185,44 +192,48 @@ class ImportanceSampling(TabularEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact given the log."""
+        """Weigh the log's episodes.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            Not used: the estimate is exact given the log.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         episodes = Episodes.from_problem(problem)
-        log, rows, starts, _ = episodes
         n = len(episodes.lengths)
-        step = step_numbers(starts)
-        weight = episodes.weights(
-            problem, policy, is_estimated=self.behavior == "estimated"
-        )
+        is_estimated = self.behavior == "estimated"
+        weight = episodes.weights(problem, policy, is_estimated=is_estimated)
         beyond = np.flatnonzero(~(weight <= LARGEST_WEIGHT))
         if beyond.size:
             k = beyond[0]
+            step = step_numbers(episodes.starts)[k]
             status = (
-                f"the product of policy / behaviour overflows in row {rows[k]} of the"
-                f" log, step {step[k]} of its episode: shorten the horizon, or use oee"
+                f"the product of policy / behaviour overflows in row {episodes.rows[k]}"
+                f" of the log, step {step} of its episode: shorten the horizon, or use"
+                " oee"
             )
             return Estimate(float("nan"), status=status)
-        last = weight[starts[1:] - 1]
-        discount = problem.simulator.discount ** step.astype(np.float64)
-        reward = discount * problem.rewards_of(log)[rows]
+        last = weight[episodes.starts[1:] - 1]
         if self.kind == "trajectory":
             weight = np.repeat(last, episodes.lengths)
-        totals = np.add.reduceat(weight * reward, starts[:-1])
-        if not self.self_normalized:
-            value, error = mean_and_error(totals)
-        elif self.kind == "trajectory":
-            value, error = normalize_by_episode(totals, last)
-        else:
-            value, error = normalize_by_step(
-                reward, weight, starts, last, keep_last=self.ragged == "pad"
-            )
+        value, error = self._average(problem, episodes, weight, last)
         effective = effective_sample_size(last)
         n_cut, bound = _truncation_bound(
             problem, episodes, last, self_normalized=self.self_normalized
         )
-        first_state = log.state[rows[starts[:-1]]]
+        first_state = episodes.log.state[episodes.rows[episodes.starts[:-1]]]
         foreign = float((problem.simulator.initial[first_state] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
-            error = None  # one episode decides: its value has no spread to show
+            error = None  # the value is that of one episode, and shows no variation
         warnings = (
             *findings.truncation(n_cut, n, bound, value, error),
             *findings.foreign_starts(foreign),
@@ -243,9 +254,29 @@ class ImportanceSampling(TabularEstimator):
             is_from_episodes=True,
         )
 
+    def _average(
+        self, problem: Problem, episodes: Episodes, weight: Array, last: Array
+    ) -> tuple[float, float | None]:
+        """Average the weighted rewards: the value and its standard error.
+
+        ``weight`` is that of each row's reward, ``last`` (n,) that of whole episodes.
+        """
+        starts = episodes.starts
+        step = step_numbers(starts).astype(np.float64)
+        rewards = problem.rewards_of(episodes.log)[episodes.rows]
+        discounted = problem.simulator.discount**step * rewards
+        totals = np.add.reduceat(weight * discounted, starts[:-1])
+        if not self.self_normalized:
+            return mean_and_error(totals)
+        if self.kind == "trajectory":
+            return normalize_by_episode(totals, last)
+        return normalize_by_step(
+            discounted, weight, starts, last, keep_last=self.ragged == "pad"
+        )
+
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
+        """Return what the estimator claims, in words of ``testing.CLAIMS``."""
         claims = {"relabelling", "scale"}
         if not self._drops_ended:
             claims |= {"consistent", "padding"}
@@ -258,7 +289,7 @@ class ImportanceSampling(TabularEstimator):
 
     @property
     def _drops_ended(self) -> bool:
-        """Whether episodes that have ended leave the sums of weights."""
+        """Return whether episodes that have ended leave the sums of weights."""
         return (
             self.self_normalized
             and self.kind == "per_decision"
@@ -266,14 +297,24 @@ class ImportanceSampling(TabularEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """The mean of what is averaged over episodes of ``behavior_policy`` in the
-        target.
+        """Compute the mean of what is averaged over episodes of the behaviour policy.
 
-        J_target where that policy takes every action that the policy takes (None: it
-        does); otherwise the
-        rewards of the paths that it can make, self-normalised over their weight. Where
-        ended episodes are dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at
-        t}].
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+
+        Notes
+        -----
+        It is J_target where the behaviour policy takes every action that the policy
+        takes, as it does by default; otherwise the rewards of the paths that it can
+        make, self-normalised over their weight. Where ended episodes are dropped it is
+        sum_t gamma^t E[rho r_t] / E[rho 1{not ended at t}].
         """
         target = population.target
         behavior = population.behavior
@@ -304,12 +345,10 @@ class ImportanceSampling(TabularEstimator):
 def _truncation_bound(
     problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool
 ) -> tuple[int, float]:
-    """How many episodes are cut before the horizon, and a bound on what their missing
-    rewards can change.
+    """Count the episodes cut before the horizon, and bound what they can change.
 
-    A missing reward is at most the largest of the log and the simulator, and carries in
-    expectation the
-    episode's last weight.
+    A missing reward is at most the largest of the log and the simulator, and its weight
+    is in expectation the episode's last weight.
     """
     lengths = episodes.lengths.astype(np.float64)
     gamma = problem.simulator.discount
@@ -317,27 +356,24 @@ def _truncation_bound(
     missing = ~episodes.is_over & (lengths < end)
     if not missing.any():
         return 0, 0.0
-    tail = (
-        end - lengths if gamma == 1.0 else (gamma**lengths - gamma**end) / (1.0 - gamma)
-    )
-    rewards = (
-        problem.simulator.rewards
-        if problem.simulator.reward_data is None
-        else problem.simulator.reward_data
-    )
+    if gamma == 1.0:
+        tail = end - lengths
+    else:
+        tail = (gamma**lengths - gamma**end) / (1.0 - gamma)
+    rewards = problem.simulator.reward_data
+    if rewards is None:
+        rewards = problem.simulator.rewards
     largest = max(
         float(np.abs(problem.rewards_of(episodes.log)).max()),
         float(np.abs(rewards).max()),
     )
     counted = missing & (last > 0)
     mass = float(last.sum()) if self_normalized else float(len(last))
-    with np.errstate(over="ignore"):
-        bound = (
-            float(np.sum(last[counted] / mass * tail[counted])) * largest
-            if mass > 0
-            else 0.0
-        )
+    bound = 0.0
+    if mass > 0:
+        with np.errstate(over="ignore"):
+            bound = float(np.sum(last[counted] / mass * tail[counted])) * largest
     if gamma < 1.0 or end < np.inf:
-        # there is one, even where no float holds it
+        # a finite bound exists, even where it is beyond the largest float
         bound = min(bound, float(np.finfo(float).max))
     return int(missing.sum()), bound

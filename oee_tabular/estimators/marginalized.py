@@ -1,9 +1,10 @@
-"""Estimators through occupancy ratios: no product of ratios along a path."""
+"""Estimators by ratios of occupancies, without products of ratios along a path."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from scipy import linalg, sparse
@@ -32,52 +33,68 @@ from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.method import Population
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, Csr, IntArray, RealArrayLike
 
-# of the saddle point's matrix, its columns scaled: above it no digit of theta is sure
+# condition of the saddle point's matrix, its columns scaled, above which no digit of
+# theta is certain
 MAX_CONDITION = 1e12
-RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
+# length of the part of a unit column that the others do not span, below which the column
+# is a combination of them
+RANK_TOLERANCE = 1e-10
+FeaturesLike: TypeAlias = RealArrayLike | Callable[[IntArray, IntArray], RealArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
 class Marginalized(RatioEstimator):
-    """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of
-    occupancies.
+    """Marginalized importance sampling, the paper's follow-up [1]_.
 
-    beta = d_sim / d_log, by ``density_ratio``, and w = d_target / d_sim: the occupancy
-    in zeta * P over the simulator's, or with ``features`` the published saddle point in
-    the class w = phi theta,
-
-        A = E_log[beta phi (gamma phi'_pi - phi)^T],    A^T theta = -(1 - gamma) E phi_0,
-
-    with phi'_pi the mean of phi(s', a') under the policy, and phi_0 that at the start.
+    The log's rewards are weighted by two ratios of occupancies: J is
+    E_log[beta w r] / (1 - gamma), with beta = d_sim / d_log and w = d_target / d_sim.
 
     Parameters
     ----------
-    ratio : as in ``OffEnvironment``: the source of zeta; not with ``features``, which
-        need none
-    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; beta
-        is then exact there)
-    features : phi(s, a), an array of shape (S, A), (S, A, d) or (S*A, d), or a function
-        of (s, a) arrays
-        Without a horizon only. They are 0 after the end of an episode; those that are 0
-        in every recorded pair are left out.
-
-    Notes
-    -----
-    Unrecorded pairs have reward 0. One-hot features give maximum likelihood on the
-    recorded
-    pairs. Limit: exact; with ``features`` that of the class, which depends on how pairs
-    are recorded unless the class contains d_target / d_sim. Source: [1] P. Katdare, N.
-    Jiang and K. Driggs-Campbell, Marginalized importance sampling for off-environment
-    policy evaluation, CoRL 2023.
+    ratio : str, Method, TransitionRatio or callable, default 'conditional'
+        The source of zeta, as in ``OffEnvironment``. It is left out with ``features``,
+        which need no zeta.
+    lower : float, optional
+        A lower bound of beta where the log has pairs. Without bounds beta is exact.
+    upper : float, optional
+        An upper bound of beta where the log has pairs.
+    features : array_like or callable, optional
+        The features phi(s, a) of the class w = phi theta: an array of shape (S, A),
+        (S, A, d) or (S*A, d), or a function of (s, a) arrays that returns one. They
+        need a problem without a horizon, count as 0 after the end of an episode, and
+        are left out where they are 0 in every recorded pair. None takes w from zeta.
 
     Raises
     ------
     ValueError
-        When called: features of another shape, all constant, or linearly dependent (the
-        columns are named);
-        a horizon, or discount 1, with features.
+        When called, if features have another shape, are all constant, or are linearly
+        dependent (the columns are named); with features also if the problem has a
+        horizon or the discount is 1.
+
+    See Also
+    --------
+    DualDice : The ratio of occupancies from a quadratic program.
+
+    Notes
+    -----
+    beta is fitted by ``density_ratio``. w is the occupancy in zeta * P over the
+    simulator's, or with ``features`` the published saddle point::
+
+        A = E_log[beta phi (gamma phi'_pi - phi)^T],    A^T theta = -(1 - gamma) E phi_0
+
+    with phi'_pi the mean of phi(s', a') under the policy, and phi_0 that at the start.
+
+    Unrecorded pairs have reward 0. One-hot features give maximum likelihood on the
+    recorded pairs. The value converges to J of the target, with ``features`` to that of
+    the class, which depends on how pairs are recorded unless the class contains
+    d_target / d_sim.
+
+    References
+    ----------
+    .. [1] P. Katdare, N. Jiang and K. Driggs-Campbell, Marginalized importance sampling
+       for off-environment policy evaluation, CoRL 2023.
 
     Examples
     --------
@@ -91,7 +108,7 @@ class Marginalized(RatioEstimator):
     ratio: RatioOption = "conditional"
     lower: float | None = None
     upper: float | None = None
-    features: Any = field(default=None, repr=False)
+    features: FeaturesLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,8 +123,21 @@ class Marginalized(RatioEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact given the log and zeta; ``generator`` is for ratios that sample the
-        simulator.
+        """Weigh the log's rewards by both ratios.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            The source of simulated data, for ratios that need them.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
         """
         simulator = problem.simulator
         horizon = problem.horizon
@@ -121,7 +151,8 @@ class Marginalized(RatioEstimator):
             gap = max(gap, zeta.gap)
             shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
-            shift = self._solve_class(simulator, policy, problem.counts / total, beta)
+            transitions = sparse.csr_array(problem.counts / total)
+            shift = self._solve_class(simulator, policy, transitions, beta)
         weights = beta * shift
         shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))
         time = coverage(problem, shares, row_sums(problem.counts).reshape(policy.shape))
@@ -138,18 +169,33 @@ class Marginalized(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``. Unrecorded pairs have reward 0: rewards cannot
-        be shifted.
+        """Return what the estimator claims, in words of ``testing.CLAIMS``.
+
+        The value does not shift with the rewards, since unrecorded pairs have reward 0.
         """
         if self.features is not None:
             return frozenset({"scale", "infinite"})
         known = self.model_claims - {"shift"}
-        boxed = self.lower is not None or self.upper is not None
-        return known - {"consistent", "padding", "after_end"} if boxed else known
+        if self.lower is None and self.upper is None:
+            return known
+        return known - {"consistent", "padding", "after_end"}
 
     def limit_of(self, population: Population) -> float:
-        """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or
-        the class have it.
+        """Compute the sum of d_log beta w r over the data's support.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+
+        Notes
+        -----
+        beta is clipped to its bounds; w is that of zeta * P, or of the class.
         """
         simulator = population.simulator
         policy = population.policy
@@ -165,7 +211,7 @@ class Marginalized(RatioEstimator):
             transitions = sparse.csr_array(sparse.diags_array(share) @ target)
             shift = self._solve_class(simulator, policy, transitions, beta)
         rewards = simulator.rewards.reshape(-1)
-        # the target's transitions pay what the simulator's do
+        # the target's transitions have the simulator's rewards
         if simulator.reward_data is not None:
             probability, _ = align(target, simulator.transitions)
             rewards = row_sums(
@@ -178,7 +224,7 @@ class Marginalized(RatioEstimator):
     def _fit_beta(
         self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array
     ) -> tuple[Array, float]:
-        """Beta on (S*A,), 0 where the log has nothing, and its gap."""
+        """Fit beta (S*A,), which is 0 in unrecorded pairs, and return it and its gap."""
         if self.features is not None and horizon is not None:
             raise ArgumentError(
                 "horizon",
@@ -191,8 +237,8 @@ class Marginalized(RatioEstimator):
         beta = np.zeros_like(share)
         gap = 0.0
         inside = float(time[recorded].sum())
-        # the fit scales both to distributions: its ratio is beta / inside, and so is
-        # its box
+        # ``density_ratio`` scales both to distributions: its ratio is beta / inside, and
+        # its box has to be divided likewise
         if inside > 0:
             box = check_box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
@@ -210,11 +256,12 @@ class Marginalized(RatioEstimator):
         self,
         simulator: FiniteMDP,
         policy: Array,
-        transitions: sparse.csr_array,
+        transitions: Csr,
         beta: Array,
     ) -> Array:
-        """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which
-        sum to 1.
+        """Solve the saddle point for w = phi theta, of shape (S*A,).
+
+        ``transitions`` (S*A, S) are the log's shares of transitions, which sum to 1.
         """
         gamma = simulator.discount
         shape = (simulator.n_states, simulator.n_actions)
@@ -247,27 +294,25 @@ class Marginalized(RatioEstimator):
 def _occupancy_ratio(
     model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None
 ) -> Array:
-    """(S*A,) the policy's occupancy in the model over the simulator's; 0 where the
-    simulator has none.
+    """Compute the policy's occupancy in the model over the simulator's, (S*A,).
+
+    It is 0 where the simulator's occupancy is 0.
     """
-    here, there = (
-        occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model)
-    )
+    here = occupancy(simulator, policy, horizon=horizon).reshape(-1)
+    there = occupancy(model, policy, horizon=horizon).reshape(-1)
     return np.divide(there, here, out=np.zeros_like(there), where=here > 0)
 
 
 def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntArray]:
-    """phi (S*A, d), 0 where the episode is over, and the numbers of the columns that
-    are not 0 then.
+    """Check features, and return phi (S*A, d) and the numbers of its columns.
+
+    phi is 0 in absorbing states; columns that are 0 elsewhere are left out.
     """
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
-    array = (
-        features(*np.divmod(np.arange(size), shape[1]))
-        if callable(features)
-        else features
-    )
-    array = _checks.float_array(array, "features")
+    if callable(features):
+        features = features(*np.divmod(np.arange(size), shape[1]))
+    array = _checks.float_array(features, "features")
     is_table = array.shape[:2] == shape and array.ndim in (2, 3)
     if array.size == 0 or not (
         is_table or (array.ndim in (1, 2) and len(array) == size)
@@ -298,7 +343,7 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
 
 
 def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
-    """A ValueError that names columns of which one is a combination of the others."""
+    """Raise a ValueError that names columns of which one combines the others."""
     lengths = np.sqrt((phi**2).sum(axis=0))
     scaled = phi / np.where(lengths > 0, lengths, 1.0)
     triangle, order = linalg.qr(scaled, mode="r", pivoting=True)
@@ -321,21 +366,33 @@ def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
 
 @dataclass(frozen=True)
 class DualDice(TabularEstimator):
-    """Tabular DualDICE [1] for a shift of the environment; the simulator's occupancy is
-    its base distribution.
+    """Tabular DualDICE [1]_ for a shift of the environment.
 
-    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P
-    the log's frequencies
-    (the simulator's rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim,
-    and
-    J = E_{d_sim}[w r] / (1 - gamma).
+    Its base distribution is the policy's occupancy in the simulator.
+
+    Raises
+    ------
+    ValueError
+        When called, if the problem has a horizon or the discount is 1.
+
+    See Also
+    --------
+    Marginalized : The same ratio of occupancies from zeta, or in a class of features.
 
     Notes
     -----
-    Without a horizon only. Identical to the model-based value with
-    ``fallback="simulator"``. Source: [1]
-    O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted stationary
-    distribution corrections, NeurIPS 2019.
+    nu minimises a quadratic, where P are the log's frequencies (the simulator's rows
+    where the log has none), and w is the ratio of occupancies d_target / d_sim::
+
+        1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu]
+        w = nu - gamma P^pi nu,    J = E_{d_sim}[w r] / (1 - gamma)
+
+    The value is identical to that of ``ModelBased(fallback="simulator")``.
+
+    References
+    ----------
+    .. [1] O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted
+       stationary distribution corrections, NeurIPS 2019.
 
     Examples
     --------
@@ -351,11 +408,27 @@ class DualDice(TabularEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact given the log.
+        """Solve the quadratic program exactly.
 
-        With B = I - gamma P^pi on pairs the normal equations are B^T D B nu = (1 -
-        gamma) mu_0 pi: first
-        y = D w from B^T y, then nu from B nu = w.
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            Not used: the estimate is exact given the log.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+
+        Notes
+        -----
+        With B = I - gamma P^pi on pairs, and D the diagonal of d_sim, the normal
+        equations are B^T D B nu = (1 - gamma) mu_0 pi: first y = D w from B^T y, then
+        nu from B nu = w.
         """
         if problem.horizon is not None:
             raise ArgumentError(
@@ -391,5 +464,16 @@ class DualDice(TabularEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """J of the target's rows where the data are, the simulator's elsewhere."""
+        """Compute J of the target's rows where the data are, else the simulator's.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+        """
         return population.value(population.model(population.simulator.transitions))

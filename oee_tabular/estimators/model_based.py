@@ -29,20 +29,26 @@ from oee_tabular.typing import Array
 
 @dataclass(frozen=True)
 class ModelBased(TabularEstimator):
-    """J in the model whose rows are the log's frequencies n_sas' / n_sa.
+    """The model-based baseline: the value in the maximum-likelihood model of the log.
+
+    The rows of the model are the log's frequencies n(s, a, s') / n(s, a).
 
     Parameters
     ----------
-    fallback : "stay" | "simulator"
-        Unrecorded pairs: the state stays (with reward r(s, a, s) if the simulator
-        defines it, else its expected r(s, a)), or as simulated.
+    fallback : {'stay', 'simulator'}, default 'stay'
+        The rows of unrecorded pairs: the state stays (with reward r(s, a, s) if the
+        simulator defines it, else its expected r(s, a)), or the simulator's.
+
+    See Also
+    --------
+    OffEnvironment : The simulator corrected by the log.
 
     Notes
     -----
-    Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the
-    fallback elsewhere; it attains the efficiency bound. With known simulator and full
-    coverage it equals off-environment evaluation without shrinkage. The standard error
-    takes the variance of a row's own frequencies, 0 in a row with one transition:
+    The value converges to J of the target's rows where the log's distribution has mass,
+    and of the fallback's elsewhere; it attains the efficiency bound. With full coverage
+    it equals off-environment evaluation without shrinkage. The standard error takes the
+    variance of a row's own frequencies, which is 0 in a row with one transition:
     ``diagnostics["single_share"]`` is the share of the policy's discounted time in such
     pairs (of several next states).
 
@@ -67,13 +73,28 @@ class ModelBased(TabularEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact given the log."""
+        """Compute the exact value in the log's model.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+        policy : ndarray of shape (S, A)
+            The policy's probabilities.
+        generator : numpy.random.Generator
+            Not used: the estimate is exact given the log.
+
+        Returns
+        -------
+        Estimate
+            The value, without the findings that follow from its diagnostics.
+        """
         model = self.model(problem)
         totals = row_sums(problem.counts)
         result = evaluate_policy(model, policy, horizon=problem.horizon)
         time = time_in_pairs(model, policy, problem.horizon)
         shares = learnable_shares(problem, time)
-        seen = coverage(problem, shares, totals.reshape(policy.shape))
+        covered = coverage(problem, shares, totals.reshape(policy.shape))
         n_successors = np.diff(problem.model.transitions.indptr)
         single = float(shares.reshape(-1)[(totals == 1) & (n_successors > 1)].sum())
         gradient = transition_gradient(
@@ -81,6 +102,7 @@ class ModelBased(TabularEstimator):
         )
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
         least = ROUNDING * max(abs(result.value), float(np.abs(model.rewards).max()))
+        # an error of 0 is certain only where no pair has several next states
         error = delta if (n_successors <= 1).all() or delta > least else None
         return Estimate(
             result.value,
@@ -88,21 +110,43 @@ class ModelBased(TabularEstimator):
             diagnostics={
                 "error_bound": result.error_bound,
                 "method": result.method,
-                **seen,
+                **covered,
                 "single_share": single,
                 "standard_error_of": "log",
             },
-            measured=seen["coverage"] - single,
+            measured=covered["coverage"] - single,
         )
 
     def limit_of(self, population: Population) -> float:
-        """J of the target's rows where the data are, the fallback's elsewhere."""
+        """Compute J of the target's rows where the data are, else of the fallback's.
+
+        Parameters
+        ----------
+        population : Population
+            Simulator, target, policy, horizon and how the data are recorded.
+
+        Returns
+        -------
+        float
+            The limit of the value; not normalised.
+        """
         keep = sparse.diags_array(population.support.astype(np.float64), format="csr")
         rows = sparse.csr_array(keep @ population.target.transitions)
         return population.value(self._fill_rows(population.simulator, rows))
 
     def model(self, problem: Problem) -> FiniteMDP:
-        """The frequencies of the log, the fallback where it has none."""
+        """Return the model: the log's frequencies, and the fallback elsewhere.
+
+        Parameters
+        ----------
+        problem : Problem
+            The simulator and the log.
+
+        Returns
+        -------
+        FiniteMDP
+            The model, with the rewards, start and discount of the problem.
+        """
         counts = _checks.instance(problem, Problem, "problem").counts
         data = counts.data / row_sums(counts)[row_of_entry(counts)]
         rows = sparse.csr_array(
@@ -111,21 +155,16 @@ class ModelBased(TabularEstimator):
         return self._fill_rows(problem.model, rows)
 
     def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
-        """``base`` with these rows, and the fallback's where they are 0."""
+        """Return ``base`` with these rows, and the fallback's where they are 0."""
         size = rows.shape[0]
         empty = np.flatnonzero(row_sums(rows) == 0)
+        ones = np.ones(len(empty))
         if self.fallback == "simulator":
-            rest = (
-                sparse.csr_array(
-                    (np.ones(len(empty)), (empty, empty)), shape=(size, size)
-                )
-                @ base.transitions
-            )
+            chosen = sparse.csr_array((ones, (empty, empty)), shape=(size, size))
+            rest = chosen @ base.transitions
         else:
-            rest = sparse.csr_array(
-                (np.ones(len(empty)), (empty, empty // base.n_actions)),
-                shape=rows.shape,
-            )
+            states = empty // base.n_actions
+            rest = sparse.csr_array((ones, (empty, states)), shape=rows.shape)
         matrix = sparse.csr_array(rows + rest)
         rewards: object = base.rewards
         if base.transition_rewards is not None:

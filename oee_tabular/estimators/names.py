@@ -1,6 +1,4 @@
-"""The estimators that have a short name, for the command line, reports and tables: the
-one list of them.
-"""
+"""The short names of estimators, for the command line, reports and tables."""
 
 from __future__ import annotations
 
@@ -20,9 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Named:
-    """An estimator by its class and options, and what it is, in a sentence or two.
+    """An estimator that has a short name: its class, its options and its meaning.
 
-    ``needs_target``: it is made from the target, which only someone who knows it has.
+    Attributes
+    ----------
+    kind : str
+        The name of the class in ``oee_tabular.estimators``.
+    meaning : str
+        What the estimator does, in a sentence or two.
+    options : mapping
+        The options of the class.
+    needs_target : bool
+        Whether the estimator is made from the target, which only someone who knows it
+        has.
     """
 
     kind: str
@@ -31,11 +39,10 @@ class Named:
     needs_target: bool = False
 
     def __call__(self, target: FiniteMDP | None = None) -> Estimator:
-        """The estimator."""
+        """Make the estimator."""
         make = getattr(importlib.import_module("oee_tabular.estimators"), self.kind)
-        estimator: Estimator = (
-            make(target, **self.options) if self.needs_target else make(**self.options)
-        )
+        arguments = [target] if self.needs_target else []
+        estimator: Estimator = make(*arguments, **self.options)
         return estimator
 
 
@@ -145,7 +152,7 @@ NAMED: Mapping[str, Named] = {
 }
 
 
-# from the literature; in a table each has the solution of an estimator above
+# names from the literature; in finite states each has the solution of an estimator above
 ALIASES: Mapping[str, str] = {
     # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
     "fqe": "model-based",
@@ -201,15 +208,16 @@ EstimatorName: TypeAlias = Literal[
 
 
 def names(*, needs_target: bool = False) -> list[str]:
-    """Those that are made without the target, or those that need it."""
+    """Return the names of the estimators that need the target, or of the others."""
     return [name for name, named in NAMED.items() if named.needs_target == needs_target]
 
 
 def named_estimators(
     names: Sequence[str], target: FiniteMDP | None = None
 ) -> dict[str, Estimator]:
-    """The estimators of these names or aliases, by name; a ValueError with the nearest
-    name for an unknown one.
+    """Make the estimators of these names or aliases.
+
+    An unknown name is a ValueError that suggests the nearest one.
     """
     estimators: dict[str, Estimator] = {}
     for given in names:
@@ -232,8 +240,9 @@ def named_estimators(
 
 
 def default_names(problem: Problem) -> tuple[list[str], list[str]]:
-    """The estimators that this problem's data allow, and a sentence for each that they
-    do not.
+    """Choose the estimators that a problem's data allow.
+
+    The second list has a sentence for each that they do not allow.
     """
     chosen = ["simulator", "oee", "model-based"]
     left_out = []

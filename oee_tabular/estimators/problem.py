@@ -26,58 +26,67 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
-from oee_tabular.typing import Array, IntArray, PolicyLike
+from oee_tabular.typing import Array, Csr, IntArray, PolicyLike
 
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """The input of an estimator: a simulator, a log of the target, and the definition
-    of the value.
+    """The input of an estimator: a simulator and a log of the target.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target, or their source
-        A path or Minari id (``Transitions.load``), a data frame
-        (``Transitions.from_frame``), or episodes as lists of steps
-        (``Transitions.from_episodes``); names of states and actions are matched to the
-        simulator's. Or counts: ``TransitionCounts``, their file, or a sparse (S*A, S)
-        matrix.
-    horizon : T, the number of rewards; None for the infinite discounted sum
-    behavior_policy : (S, A), the policy that recorded the log
-        For importance sampling where the log lacks probabilities.
-    simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios
-        only
-    rewards : "simulator" | "log"
-        Rewards of oee and model-based: the simulator's, or the log's mean for each
-        transition that has one
-        (the simulator's elsewhere). Importance sampling always uses the log's.
-    episodes : Transitions, optional
-        Whole episodes for importance sampling if ``log`` has transitions without
+        The simulator.
+    log : Transitions, TransitionCounts or their source
+        The log of the target. Its source may be a path or a Minari id
+        (``Transitions.load``), a data frame (``Transitions.from_frame``), or episodes
+        as lists of steps (``Transitions.from_episodes``); names of states and actions
+        are matched to the simulator's. Counts are ``TransitionCounts``, their file, or
+        a sparse matrix of shape (S*A, S).
+    horizon : int, optional
+        The number of rewards, at t = 0..horizon-1. None means the infinite discounted
+        sum.
+    behavior_policy : PolicyLike, optional
+        The policy that recorded the log, for importance sampling where the log lacks
+        probabilities.
+    simulator_data : Transitions or 'exact', optional
+        A log of the simulator, or its exact probabilities, for the paper's ratio of
+        ratios only.
+    rewards : {'simulator', 'log'}, default 'simulator'
+        The rewards that off-environment evaluation and the model-based baseline use:
+        the simulator's, or the log's mean for each transition that has one (the
+        simulator's elsewhere). Importance sampling always uses the log's.
+    episodes : Transitions or their source, optional
+        Whole episodes for importance sampling, if ``log`` has transitions without
         episodes.
-    counts : sparse (S*A, S) of nonnegative numbers, optional
-        Counts in place of the log's, for estimators that use counts
+    counts : sparse matrix of shape (S*A, S), optional
+        Nonnegative counts in place of the log's, for estimators that use counts
         (``Discretization.counts`` gives soft ones). Importance sampling and the paper's
         ratio of ratios use the log. Tests and intervals need whole counts.
-    impossible : "refuse" | "drop"
-        Transitions of the log with simulator probability 0 are an error, or left out of
-        ``counts``. Likelihood and guaranteed intervals then let them lead anywhere
-        (``inference.asymptotic``).
-
-    Terminated transitions in ``log`` are redirected to the simulator's terminal states;
-        ``counts`` is csr,
-    without dropped transitions.
+    impossible : {'refuse', 'drop'}, default 'refuse'
+        Whether transitions of the log with simulator probability 0 are an error, or are
+        left out of ``counts``. Likelihood and guaranteed intervals then let them lead
+        anywhere (``inference.asymptotic``).
 
     Raises
     ------
     ValueError
-        States or actions outside the simulator's; transitions with simulator
-        probability 0 (the first are
-        named); a terminated transition into a state that is not terminal in the
-        simulator; rewards="log"
-        without rewards; counts of another shape, negative, not finite, or all 0.
+        If states or actions are outside the simulator's; if transitions have simulator
+        probability 0 (the first are named); if a terminated transition leads into a
+        state that is not terminal in the simulator; if ``rewards`` is "log" and the log
+        has none; if counts have another shape, or are negative, not finite, or all 0.
+
+    See Also
+    --------
+    Estimator : What evaluates a policy in a problem.
+    oee_tabular.evaluate : Evaluate policies by several estimators.
+
+    Notes
+    -----
+    Terminated transitions in ``log`` are redirected to the simulator's terminal states.
+    ``counts`` is csr, without the transitions that were dropped.
 
     Examples
     --------
@@ -96,7 +105,7 @@ class Problem:
     simulator_data: Any = None
     rewards: Literal["simulator", "log"] = "simulator"
     episodes: Transitions | None = None
-    _counts: Any = None  # as given; the name ``counts`` is that of what is used
+    _counts: Any = None  # the counts that were given; ``counts`` are those in use
     impossible: Literal["refuse", "drop"] = "refuse"
 
     def __init__(
@@ -111,7 +120,7 @@ class Problem:
         counts: Any = None,
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
-        _counts: Any = None,  # dataclasses.replace passes fields on
+        _counts: Any = None,  # dataclasses.replace passes every field by its name
     ) -> None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         _checks.one_of(impossible, "impossible", ("refuse", "drop"), _ALLOW)
@@ -177,37 +186,43 @@ class Problem:
 
     @property
     def _span(self) -> str:
+        """Return the times whose rewards count, in words."""
         return "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
 
     def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        agreement = "agree"
+        if self.reward_conflict is not None:
+            agreement = str(self.reward_conflict)
         rows = [
             ("simulator", repr(self.simulator)),
             ("log", self.log.describe()),
             ("rewards", f"the {self.rewards}'s"),
             ("value", f"sum of discount^t * reward over {self._span}, not normalised"),
-            (
-                "rewards of log and simulator",
-                "agree" if self.reward_conflict is None else str(self.reward_conflict),
-            ),
+            ("rewards of log and simulator", agreement),
         ]
         return _printing.facts("Problem: the value of a policy in the target", rows)
 
     @property
-    def counts(self) -> sparse.csr_array:
-        """(S*A, S) counts of the log's transitions, or the given ones, without those
-        that were dropped.
+    def counts(self) -> Csr:
+        """Return the counts in use, csr of shape (S*A, S).
+
+        They are those of the log's transitions, or the given ones, without what was
+        dropped.
         """
         return self._split_counts[0]
 
     @property
     def dropped(self) -> Array:
-        """(S*A,) the number of transitions of each pair that were dropped as impossible
-        in the simulator.
+        """Return the number of transitions of each pair that were dropped, (S*A,).
+
+        They are impossible in the simulator.
         """
         return self._split_counts[1]
 
     @cached_property
-    def _split_counts(self) -> tuple[sparse.csr_array, Array]:
+    def _split_counts(self) -> tuple[Csr, Array]:
+        """Return the counts in use, and the number of dropped transitions (S*A,)."""
         counts = self._counts
         if counts is None:
             counts = self.log.counts(self.simulator.n_states, self.simulator.n_actions)
@@ -216,57 +231,56 @@ class Problem:
         return without_impossible(counts, self.simulator)
 
     @property
-    def observed(self) -> Transitions | sparse.csr_array:
-        """The data of a ratio: the log, or the given counts."""
-        is_whole = (
-            self._counts is None
-            and isinstance(self.log, Transitions)
-            and not self.dropped.any()
-        )
-        return self.log if is_whole else self.counts
+    def observed(self) -> Transitions | Csr:
+        """Return the data that a ratio is fitted to: the log, or the counts in use."""
+        if self._counts is not None or not isinstance(self.log, Transitions):
+            return self.counts
+        return self.counts if self.dropped.any() else self.log
 
     @cached_property
     def cache(self) -> dict[Any, Any]:
-        """What fits to this log share (``Method.fit``)."""
+        """Return a store that fits to this log share (``Method.fit``)."""
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
+        """Return the state of pickles, which leaves out the store of fits."""
         return {name: value for name, value in vars(self).items() if name != "cache"}
 
     @cached_property
     def soft(self) -> bool:
-        """Whether some counts are not whole; tests and intervals need whole ones."""
+        """Return whether some counts are not whole, as tests and intervals need them."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 
     @property
     def recorded(self) -> Any:
-        """The log with whole episodes: ``episodes``, the sample beside its counts, or
-        the log itself.
+        """Return the log with whole episodes.
+
+        It is ``episodes``, the sample beside counts, or the log itself.
         """
         kept = self.log.sample if isinstance(self.log, TransitionCounts) else None
         return self.episodes or kept or self.log
 
     @cached_property
     def model(self) -> FiniteMDP:
-        """The simulator, with the log's rewards if ``rewards`` is "log"."""
-        return (
-            self.simulator
-            if self.rewards == "simulator"
-            else with_log_rewards(self.simulator, self.log)
-        )
+        """Return the simulator, with the log's rewards if ``rewards`` is "log"."""
+        if self.rewards == "simulator":
+            return self.simulator
+        return with_log_rewards(self.simulator, self.log)
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
-        """Where the rewards of log and simulator differ; None if they agree or the log
-        has none.
+        """Return where the rewards of log and simulator differ.
+
+        It is None if they agree, or if the log has none.
         """
         return conflict(self.simulator, self.log)
 
     @cached_property
     def behavior_conflict(self) -> int:
-        """The number of transitions whose behaviour probability is not that of
-        ``behavior_policy``.
+        """Return the number of transitions that contradict ``behavior_policy``.
+
+        The log's own behaviour probability differs there.
         """
         log = self.recorded
         if self.behavior_policy is None or log.behavior_probability is None:
@@ -276,7 +290,7 @@ class Problem:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Warnings about the data, for any policy."""
+        """Return the warnings about the data, which concern every policy."""
         log = self.log
         result = list[Finding]()
         if self.reward_conflict is not None:
@@ -291,32 +305,41 @@ class Problem:
             kept = 0 if log.sample is None else log.sample.n_episodes or 0
             result += findings.episodes_sampled(kept, log.recording.episodes)
         result += findings.moves_dropped(self.dropped, float(self.counts.sum()))
-        return (
-            *result,
-            *(() if self.simulator.sampling is None else (findings.SAMPLED,)),
-        )
+        if self.simulator.sampling is not None:
+            result.append(findings.SAMPLED)
+        return tuple(result)
 
     def rewards_of(self, log: Transitions) -> Array:
-        """The log's rewards, or the simulator's for transitions without one."""
+        """Return the rewards of a log, or the simulator's where it has none.
+
+        Parameters
+        ----------
+        log : Transitions
+            The log, or some of its rows.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The reward of each row.
+        """
         _checks.instance(log, Transitions, "log", "Transitions")
         if log.reward is not None and not np.isnan(log.reward).any():
             return log.reward
         simulated = simulator_rewards(self.simulator, log)
-        return (
-            simulated
-            if log.reward is None
-            else np.where(np.isnan(log.reward), simulated, log.reward)
-        )
+        if log.reward is None:
+            return simulated
+        return np.where(np.isnan(log.reward), simulated, log.reward)
 
 
 def require_policy(problem: object, policy: PolicyLike) -> Array:
-    """A policy of ``problem``, (S, A); a ValueError if either is invalid."""
+    """Check a problem and a policy of it, and return the policy's array (S, A)."""
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
-    """The log with terminated transitions redirected to ``simulator.terminal_state``,
-    or an error.
+    """Redirect terminated transitions to the simulator's terminal states.
+
+    A log that does not fit the simulator is a ValueError that names ``name``.
     """
     sizes = {
         "state": simulator.n_states,
@@ -327,13 +350,13 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
         values: IntArray = getattr(log, column)
         bad = np.flatnonzero(values >= size)
         if bad.size:
-            is_from_1 = bool(values.max() == size and values.min() >= 1)
-            raise ValueError(
-                f"{name}.{column}[{bad[0]}] must be in 0..{size - 1}, the simulator's;"
-                f" it is {values[bad[0]]} ({bad.size} such transitions)"
-                + "; are they numbered from 1? Then subtract 1"
-                * is_from_1
+            rule = (
+                f"must be in 0..{size - 1}, the simulator's; it is {values[bad[0]]}"
+                f" ({bad.size} such transitions)"
             )
+            if values.max() == size and values.min() >= 1:
+                rule += "; are they numbered from 1? Then subtract 1"
+            raise ArgumentError(f"{name}.{column}[{bad[0]}]", rule)
     lead = np.arange(simulator.n_states)
     lead[: len(simulator.terminal_state)] = simulator.terminal_state
     arrival = np.where(log.terminated, lead[log.next_state], log.next_state)
@@ -360,10 +383,8 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     )
 
 
-def _check_counts(
-    counts: Any, simulator: FiniteMDP, *, may_drop: bool
-) -> sparse.csr_array:
-    """Counts that were given, checked."""
+def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> Csr:
+    """Check counts that were given, and return them as csr of shape (S*A, S)."""
     matrix = checked_counts(counts, simulator)
     if may_drop:
         return matrix

@@ -1,6 +1,4 @@
-"""Rewards of a log beside the simulator's: where they contradict each other, and the
-simulator with the log's.
-"""
+"""The rewards of a log beside the simulator's, and where the two differ."""
 
 from __future__ import annotations
 
@@ -18,13 +16,19 @@ from oee_tabular.typing import Array
 if TYPE_CHECKING:
     from oee_tabular.estimators.problem import Problem
 
-TOLERANCE = 1e-6  # of the largest reward: what differs by less agrees
+TOLERANCE = 1e-6  # a share of the largest reward: rewards that differ by less agree
 
 
 @dataclass(frozen=True)
 class RewardConflict:
-    """The number of transitions whose reward differs from the simulator's, and a
-    sentence about it.
+    """A contradiction between the rewards of a log and the simulator's.
+
+    Attributes
+    ----------
+    rows : int
+        The number of transitions whose rewards differ.
+    sentence : str
+        A sentence about it, which ``str`` returns.
     """
 
     rows: int
@@ -37,8 +41,9 @@ class RewardConflict:
 def simulator_rewards(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> Array:
-    """The simulator's reward for each row of the log; its expected r(s, a) off its
-    support.
+    """Return the simulator's reward for each row of the log.
+
+    Outside the simulator's support it is the expected reward r(s, a).
     """
     expected = simulator.rewards[log.state, log.action]
     if simulator.transition_rewards is None:
@@ -51,7 +56,8 @@ def simulator_rewards(
 def with_log_rewards(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> FiniteMDP:
-    """The simulator with the log's mean reward for the transitions that the log has."""
+    """Return the simulator with the log's mean rewards where transitions were recorded.
+    """
     moves = log.moves()
     matrix = simulator.transitions
     assert moves.reward_sum is not None
@@ -64,38 +70,35 @@ def with_log_rewards(
     own = simulator.reward_data
     if own is None:
         own = simulator.rewards.reshape(-1)[row_of_entry(matrix)]
-    # rewards may be missing
+    # a recorded transition may lack its reward
     data = np.divide(total, number, out=np.array(own), where=number > 0)
     return simulator.with_rewards(csr_on_pattern(matrix, data))
 
 
 def mean_rewards(problem: Problem) -> Array:
-    """(S*A,) mean over the recorded transitions of each pair: of the log's rewards,
-    else the simulator's.
+    """Average the rewards over the recorded transitions of each pair, (S*A,).
+
+    They are the log's rewards, or the simulator's where the log has none.
     """
-    simulator = problem.simulator
-    model = (
-        simulator
-        if problem.log.moves().reward_sum is None
-        else with_log_rewards(simulator, problem.log)
-    )
+    model = problem.simulator
+    if problem.log.moves().reward_sum is not None:
+        model = with_log_rewards(model, problem.log)
     matrix = model.transitions
     observed, _ = align(problem.counts, matrix)
     number = row_sums(matrix, observed)
-    own = model.rewards.reshape(-1)
-    total = (
-        number * own
-        if model.reward_data is None
-        else row_sums(matrix, observed * model.reward_data)
-    )
+    if model.reward_data is None:
+        total = number * model.rewards.reshape(-1)
+    else:
+        total = row_sums(matrix, observed * model.reward_data)
     return np.divide(total, number, out=np.zeros_like(number), where=number > 0)
 
 
 def conflict(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> RewardConflict | None:
-    """Where the log's reward differs from the simulator's for the same transition;
-    None: nowhere.
+    """Compare the log's rewards with the simulator's for the same transitions.
+
+    The result is None where they agree, or where the log has no rewards.
     """
     _, _, least, most, number = log.moves()
     if least is None or most is None or number is None:
@@ -112,11 +115,12 @@ def conflict(
     )
     k = int(differ[np.argmax(gap[differ])])
     rows = round(float(number[differ].sum()))
-    # of counted transitions the extreme rewards alone are known
-    at_most = bool((least[differ] < most[differ]).any())
+    # of counted transitions only the extreme rewards are known, so that their number is
+    # an upper bound
+    at_most = "up to " if (least[differ] < most[differ]).any() else ""
     where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
     sentence = (
-        f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of"
+        f"the log's rewards contradict the simulator's in {at_most}{rows} of"
         f" {len(log)} transitions ({moves.shape[1]} distinct; the reward of {where} is"
         f" {far[k]:g} in the log, {expected[k]:g} in the simulator)"
     )

@@ -1,12 +1,10 @@
-"""Weighted sums over episodes: the log's, or rollouts of the simulator (the paper's J
-in terms of zeta).
+"""Weighted sums over episodes: the log's, or rollouts of the simulator.
 
-W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward
-r(s, a, s') W_{t+1}.
-Per decision: sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole
-return. An episode that
-is over keeps its last weight. Episodes stand in flat arrays, episode i in rows
-starts[i] to starts[i + 1].
+The latter are the paper's J in terms of zeta. Let W_t = zeta_1 ... zeta_t along a path.
+The weight of a reward r(s, a) at time t is W_t, that of a reward r(s, a, s') is
+W_{t+1}. Per decision the sum is that of gamma^t W r_t; trajectory-wise it is the last
+weight times the whole return. An episode that has ended keeps its last weight. Episodes
+are stored in flat arrays, episode i in rows starts[i] to starts[i + 1] - 1.
 """
 
 from __future__ import annotations
@@ -19,24 +17,22 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate.sampler import Drawn, entry_rewards
 from oee_tabular.typing import Array, IntArray
 
-NEGLIGIBLE_DISCOUNT = 1e-12  # discount^t below which an infinite sum is cut
+NEGLIGIBLE_DISCOUNT = 1e-12  # an infinite sum is cut where discount^t is below this
 
 
 def rollout_horizon(discount: float, horizon: int | None) -> int:
-    """The horizon, or for the infinite sum the first t with discount^t < 1e-12."""
+    """Return the horizon, for the infinite sum the first t with discount^t < 1e-12."""
     if horizon is not None:
         return horizon
     if discount == 1.0:
         raise ArgumentError("horizon", "must be given for rollouts at discount 1")
-    return (
-        1
-        if discount == 0.0
-        else int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
-    )
+    if discount == 0.0:
+        return 1
+    return int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
 
 
 def weight_status(value: float) -> str:
-    """What to say where a self-normalised estimate has nothing to divide by."""
+    """Return the status of a self-normalised value, which is nan without weights."""
     if np.isnan(value):
         return (
             "at some step every weight is 0: no episode went the policy's way that far"
@@ -46,12 +42,12 @@ def weight_status(value: float) -> str:
 
 
 def step_numbers(starts: IntArray) -> IntArray:
-    """The step of each row in its episode."""
+    """Return the step of each row in its episode."""
     return np.arange(starts[-1]) - np.repeat(starts[:-1], np.diff(starts))
 
 
 def segment_products(values: Array, starts: IntArray) -> Array:
-    """Running products within each episode; exact zeros stay zeros."""
+    """Compute the running products within each episode; zeros stay exact."""
     result = np.array(values, dtype=np.float64)
     lengths = np.diff(starts)
     for t in range(1, int(lengths.max())):
@@ -61,19 +57,17 @@ def segment_products(values: Array, starts: IntArray) -> Array:
 
 
 def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
-    """sum_i X_i / sum_i W_i and its linearised error; nan where the weights are all 0,
-    or infinite.
+    """Compute sum_i X_i / sum_i W_i and its linearised standard error.
+
+    The value is nan where the sum of the weights is 0 or infinite.
     """
     mass = float(weights.sum())
     if not 0.0 < mass < np.inf:
         return float("nan"), None
     value = float(totals.sum()) / mass
-    return (
-        value,
-        mean_and_error((totals - value * weights) * (len(totals) / mass), abs(value))[
-            1
-        ],
-    )
+    influence = (totals - value * weights) * (len(totals) / mass)
+    _, error = mean_and_error(influence, abs(value))
+    return value, error
 
 
 def normalize_by_step(
@@ -84,12 +78,11 @@ def normalize_by_step(
     *,
     keep_last: bool = True,
 ) -> tuple[float, float | None]:
-    """sum_t sum_i w_it r_it / sum_i w_it and its linearised error.
+    """Compute sum_t (sum_i w_it r_it / sum_i w_it) and its linearised standard error.
 
     ``reward`` is discounted. An episode that has ended counts in the sums of weights
-    with its ``last``
-    weight, or with 0 unless ``keep_last``. nan where the weights of a step are all 0,
-    or infinite.
+    with its ``last`` weight, or with 0 unless ``keep_last``. The value is nan where the
+    sum of the weights of a step is 0 or infinite.
     """
     step = step_numbers(starts)
     lengths = np.diff(starts)
@@ -113,11 +106,12 @@ def normalize_by_step(
     if keep_last:
         tail = np.concatenate([np.cumsum((value * scale)[::-1])[::-1], [0.0]])
         influence -= last * tail[lengths]
-    return float(value.sum()), mean_and_error(influence, float(np.abs(value).sum()))[1]
+    _, error = mean_and_error(influence, float(np.abs(value).sum()))
+    return float(value.sum()), error
 
 
 def carried_rewards(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
-    """gamma^t r_t of each recorded step, and the weight that it carries."""
+    """Return gamma^t r_t of each recorded step, and its weight."""
     path = drawn.path
     starts = drawn.starts
     reward = (
