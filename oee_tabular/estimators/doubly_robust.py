@@ -460,13 +460,11 @@ class EpisodeTerms:
             divisor = weights.sum(axis=1, keepdims=True) if self_normalized else n
             shares = weights / divisor
 
-        rows = episodes.rows[place]
-        state = episodes.log.state[rows]
-        action = episodes.log.action[rows]
-        rewards = problem.rewards_of(episodes.log)[rows]
         factor = np.where(t < lengths, model.discount ** t.astype(np.float64), 0.0)
-        residual = factor * (rewards - q[t, state, action])  # its weight is W_{t+1}
-        value = factor * v[t, state]  # its weight is W_t
+        rewards = problem.rewards_of(episodes.log)
+        value, residual = _values_and_residuals(episodes, place, rewards, v, q)
+        value *= factor  # its weight is W_t
+        residual *= factor  # its weight is W_{t+1}
         used = np.minimum(np.arange(steps + 1)[:, None], lengths)
         rest = _values_of_the_rest(episodes, used, v, model.discount)
 
@@ -522,6 +520,21 @@ class EpisodeTerms:
             status=weight_status(value),
             is_from_episodes=True,
         )
+
+
+def _values_and_residuals(
+    episodes: Episodes, place: IntArray, rewards: Array, v: Array, q: Array
+) -> tuple[Array, Array]:
+    """Look up V, and the reward minus Q, at each step of each episode, (T, n).
+
+    ``place`` (T, n) is that of each step in the episodes' rows; ``rewards`` are those
+    of the log's rows.
+    """
+    t = np.arange(len(place))[:, None]
+    rows = episodes.rows[place]
+    state = episodes.log.state[rows]
+    action = episodes.log.action[rows]
+    return v[t, state], rewards[rows] - q[t, state, action]
 
 
 def _values_of_the_rest(

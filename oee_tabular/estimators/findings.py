@@ -241,8 +241,7 @@ def conflict_with_log(ml_value: float, distance: float) -> Findings:
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
-    """Warn of a value outside the interval, whose "lower" or "upper" ``end`` is given.
-    """
+    """Warn of a value outside the interval, whose "lower" or "upper" ``end`` is given."""
     text = (
         f"The estimator's own value, {value}, lies outside the interval. The table"
         f" gives the interval's {end} end instead."

@@ -89,9 +89,9 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
     ...     return problem.log.reward.mean()
     >>> as_estimator(mean_reward)(pair.problem(50, seed=0), pair.policy, seed=0)
     Estimate(2.66061)
-    >>> as_estimator(lambda log: 1.0)
+    >>> as_estimator(lambda log: 1.0)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    oee_tabular.exceptions.ArgumentError: estimator must be callable as (problem, policy) or (problem, policy, seed); it takes (log)
+    oee_tabular.exceptions.ArgumentError: estimator must be callable as (problem, policy) ...
     """
     if not callable(given):
         raise ArgumentError(name, f"must be {FORMS}; got {type(given).__name__}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -151,7 +151,7 @@ class Marginalized(RatioEstimator):
             gap = max(gap, zeta.gap)
             shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
-            transitions = sparse.csr_array(problem.counts / total)
+            transitions = cast("Csr", problem.counts / total)
             shift = self._solve_class(simulator, policy, transitions, beta)
         weights = beta * shift
         shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))

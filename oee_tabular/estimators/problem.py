@@ -69,6 +69,9 @@ class Problem:
         Whether transitions of the log with simulator probability 0 are an error, or are
         left out of ``counts``. Likelihood and guaranteed intervals then let them lead
         anywhere (``inference.asymptotic``).
+    _counts : sparse matrix of shape (S*A, S), optional
+        The same as ``counts``, by the name under which ``dataclasses.replace`` passes
+        them on.
 
     Raises
     ------

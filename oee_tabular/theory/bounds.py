@@ -1,8 +1,7 @@
-"""True bounds on the error of J: (A), (B) and, by the divergence of paths, (C) of
-``oee_tabular.theory``.
+"""True bounds on the error of a model's value: (A), (B) and (C) of the theory.
 
-Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4
-(Pinsker; KL of a path).
+They are stated in ``oee_tabular.theory``. For Pinsker's inequality and the divergence
+of paths see Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4.
 """
 
 from __future__ import annotations
@@ -20,12 +19,16 @@ from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.theorem_1 import Sides, divergence_terms
-from oee_tabular.theory.theorem_2 import check_pair, forward_distributions
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.theory.theorem_2 import (
+    RatioLike,
+    check_pair,
+    forward_distributions,
+)
+from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
-# infinite sums: terms that are added up, and the discount^t where that ends
-N_TERMS = 100_000
-NEGLIGIBLE = 1e-12
+# an infinite sum is added up until discount^t is negligible, over at most so many terms
+MAX_TERMS = 100_000
+NEGLIGIBLE_DISCOUNT = 1e-12
 
 
 def unnormalised_bound(
@@ -36,22 +39,37 @@ def unnormalised_bound(
     horizon: int | None = None,
     rewards_on_moves: bool = False,
 ) -> float:
-    """(A): |J(K) - J'| <= R sum_t g^t ((1 + eta)^t - 1), whatever the rows of K sum to.
+    """Compute bound (A) on the error of a model's value, for rows with any sum.
 
     Parameters
     ----------
-    eta : max over (s, a) of sum_s' |K - P'| = E_P |zhat - zeta|, in [0, inf)
-    reward_bound : R = max |r|, in [0, inf)
-    discount : g in [0, 1]
-    horizon : T (t < T), or None: the sum is R g eta / ((1 - g) (1 - g (1 + eta))), and
-        inf where g (1 + eta) >= 1
-    rewards_on_moves : True for r(s, a, s'): (1 + eta)^{t+1} takes the place of (1 +
-        eta)^t
+    eta : float
+        The largest over (s, a) of sum_s' abs(K - P'), in [0, inf).
+    reward_bound : float
+        R, the largest absolute reward, in [0, inf).
+    discount : float
+        The discount g, in [0, 1].
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    rewards_on_moves : bool, default False
+        Whether rewards are r(s, a, s'), which rest on one transition more: (1 + eta)^{t+1}
+        takes the place of (1 + eta)^t.
+
+    Returns
+    -------
+    float
+        The bound on abs(J(K) - J'). It is inf if its numbers overflow.
+
+    See Also
+    --------
+    unnormalised_sides : Both sides on a pair of models.
+    normalised_bound : The bound for rows that sum to 1.
 
     Notes
     -----
-    It is exponential in the horizon, and K = (1 + eta) P' with r = R attains it. It is
-    inf if its numbers overflow.
+    The bound is R sum_t g^t ((1 + eta)^t - 1). Without a horizon the sum is R g eta /
+    ((1 - g) (1 - g (1 + eta))), and inf where g (1 + eta) >= 1. It is exponential in
+    the horizon, and K = (1 + eta) P' with r = R attains it.
 
     Examples
     --------
@@ -67,11 +85,10 @@ def unnormalised_bound(
         return bound * shift * eta
     if steps is None:
         rest = 1.0 - gamma * (1.0 + eta)
-        return (
-            bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest)
-            if rest > 0.0
-            else math.inf
-        )
+        if not rest > 0.0:
+            return math.inf
+        first = 1.0 if shift else gamma
+        return bound * eta * first / ((1.0 - gamma) * rest)
     t = np.arange(
         limit_horizon(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8)
     )
@@ -88,18 +105,44 @@ def unnormalised_sides(
     policy: PolicyLike,
     *,
     horizon: int | None = None,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> Sides:
-    """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at
-    the pair's own eta and R.
-
-    left is inf where the infinite sum J(K) does not exist (right is then, too). eta
-    counts the target's transitions to which K gives nothing. Cost: two evaluations.
+    """Compute both sides of bound (A) on a pair of models.
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``simulation_lemma``, whose errors are
-        these
+    target : FiniteMDP
+        P', the target.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount.
+    policy : PolicyLike
+        The policy, also of shape (T, S, A) with a horizon T.
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    Sides
+        The error abs(J(K) - J') by dynamic programming, and ``unnormalised_bound`` at
+        the pair's own eta and R. Both are inf where the infinite sum J(K) does not
+        exist.
+
+    Raises
+    ------
+    ValueError
+        If model and target are not a pair: other states, actions, rewards, initial
+        distribution or discount.
+
+    See Also
+    --------
+    unnormalised_bound : The bound from its constants.
+
+    Notes
+    -----
+    eta counts the target's transitions that K lacks. The cost is that of two
+    evaluations.
 
     Examples
     --------
@@ -124,16 +167,38 @@ def normalised_bound(
     horizon: int | None = None,
     rewards_on_moves: bool = False,
 ) -> float:
-    """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R
-    g eta / (1 - g)^2.
-
-    inf at discount 1 without a horizon, unless eta or R is 0. An infinite sum is added
-    up to discount^t = 1e-12 (at most 100 000 terms) and bounded from there.
+    """Compute bound (B) on the error of a model's value, for rows that sum to 1.
 
     Parameters
     ----------
-    eta, reward_bound, discount, horizon : as in ``unnormalised_bound``
-    rewards_on_moves : True for r(s, a, s'): (t + 1) eta takes the place of t eta
+    eta : float
+        The largest over (s, a) of sum_s' abs(K - P'), in [0, inf).
+    reward_bound : float
+        R, the largest absolute reward, in [0, inf).
+    discount : float
+        The discount g, in [0, 1].
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    rewards_on_moves : bool, default False
+        Whether rewards are r(s, a, s'), which rest on one transition more: (t + 1) eta takes
+        the place of t eta.
+
+    Returns
+    -------
+    float
+        The bound on abs(J(K) - J'). It is inf at discount 1 without a horizon, unless
+        eta or R is 0.
+
+    See Also
+    --------
+    normalised_sides : Both sides on a pair of models.
+    unnormalised_bound : The bound for rows with any sum.
+
+    Notes
+    -----
+    The bound is R sum_t g^t min(2, t eta), which is at most R g eta / (1 - g)^2. An
+    infinite sum is added up to discount^t = 1e-12 (at most 100 000 terms) and bounded
+    from there.
 
     Examples
     --------
@@ -147,11 +212,10 @@ def normalised_bound(
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = (
-        _n_terms(gamma)
-        if steps is None
-        else limit_horizon(steps, gamma, work=100.0, kept=8)
-    )
+    if steps is None:
+        length = _n_terms(gamma)
+    else:
+        length = limit_horizon(steps, gamma, work=100.0, kept=8)
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:
@@ -169,15 +233,37 @@ def normalised_sides(
     policy: PolicyLike,
     *,
     horizon: int | None = None,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> Sides:
-    """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at
-    the pair's own eta and R.
+    """Compute both sides of bound (B) on a pair of models.
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``simulation_lemma``; a K whose rows
-        miss 1 is a ValueError, too
+    target : FiniteMDP
+        P', the target.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount.
+    policy : PolicyLike
+        The policy, also of shape (T, S, A) with a horizon T.
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    Sides
+        The error abs(J(K) - J') by dynamic programming, and ``normalised_bound`` at
+        the pair's own eta and R.
+
+    Raises
+    ------
+    ValueError
+        If model and target are not a pair, or if a row of K does not sum to 1.
+
+    See Also
+    --------
+    normalised_bound : The bound from its constants.
 
     Examples
     --------
@@ -200,18 +286,46 @@ def path_kl(
     policy: PolicyLike,
     *,
     horizon: int,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> Array:
-    """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
-
-    By the chain rule [1] the divergence of the first t transitions under K from those
-    under P'; inf from the first one on that K makes and the target does not. Cost: O(T
-    * nnz).
+    """Compute the divergence of paths under a model from those under the target.
 
     Parameters
     ----------
-    target, model, policy, ratio : as in ``normalised_sides``, whose errors are these
-    horizon : T, a positive int
+    target : FiniteMDP
+        P', the target.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount.
+    policy : PolicyLike
+        The policy, also of shape (T, S, A) with a horizon T.
+    horizon : int
+        T, the number of transitions.
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    ndarray of shape (T + 1,)
+        KL_t in nats for t = 0..T. It is inf from the first transition on that K makes
+        and the target does not.
+
+    Raises
+    ------
+    ValueError
+        If model and target are not a pair, or if a row of K does not sum to 1.
+
+    See Also
+    --------
+    kl_path_bound : The bound on the error of the value that follows.
+
+    Notes
+    -----
+    KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)], by the chain rule [1]_ the divergence
+    of the first t transitions under K from those under P'. The cost is O(T * nnz).
+
+    References
+    ----------
+    .. [1] A. Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4.
 
     Examples
     --------
@@ -228,7 +342,7 @@ def path_kl(
 
 
 def _accumulate_kl(kernel: Model, pi: Array, steps: int, row_kl: Array) -> Array:
-    """KL_t = KL_{t-1} + <alpha_{t-1}, row_kl> for t = 0..steps, alpha under K."""
+    """Compute KL_t = KL_{t-1} + <alpha_{t-1}, row_kl> for t = 0..steps, alpha under K."""
     result = np.zeros(steps + 1)
     for t, pairs in enumerate(forward_distributions(kernel, pi, steps)):
         reached = pairs.reshape(-1) > 0.0  # 0 * inf is 0 here
@@ -237,7 +351,7 @@ def _accumulate_kl(kernel: Model, pi: Array, steps: int, row_kl: Array) -> Array
 
 
 def _row_kl(target: Model, kernel: Model) -> Array:
-    """(S*A,): KL(K || P') of each row."""
+    """Compute KL(K || P') of each row, (S*A,)."""
     on_kernel, _ = align(target.transitions, kernel.transitions)
     _, shared = align(kernel.transitions, target.transitions)
     elsewhere = row_sums(
@@ -252,23 +366,38 @@ def _row_kl(target: Model, kernel: Model) -> Array:
 
 
 def kl_path_bound(
-    path_divergence: object, reward_bound: float, discount: float
+    path_divergence: RealArrayLike, reward_bound: float, discount: float
 ) -> float:
-    """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2
-    KL_t)).
+    """Compute bound (C) on the error of a model's value, from the divergence of paths.
 
     Parameters
     ----------
-    path_divergence : (T,) nonnegative, inf allowed: KL of the transitions that the
-        reward at t depends on, t = 0..T-1; with ``path_kl`` its entries 0..T-1 for r(s,
-        a), 1..T for r(s, a, s')
-    reward_bound : R = max |r|, in [0, inf)
-    discount : g in [0, 1]
+    path_divergence : array_like of shape (T,)
+        The divergence, for t = 0..T-1, of the transitions that the reward at t rests
+        on, nonnegative or inf. Of ``path_kl`` these are the entries 0..T-1 for rewards
+        r(s, a), and 1..T for r(s, a, s').
+    reward_bound : float
+        R, the largest absolute reward, in [0, inf).
+    discount : float
+        The discount g, in [0, 1].
+
+    Returns
+    -------
+    float
+        The bound on abs(J(K) - J'), where the rows of K sum to 1.
+
+    See Also
+    --------
+    kl_path_sides : Both sides on a pair of models.
+    path_kl : The divergence of paths.
 
     Notes
     -----
-    Proof: |E_K r_t - E_P' r_t| <= 2 R TV of those transitions; Pinsker; the chain rule. No exponential in the horizon: with
-    |zhat/zeta - 1| <= eps, KL_t <= t eps^2 (``corrected_value_error_bound``). It is tight to second order in eps.
+    The bound is R sum_{t<T} g^t min(2, sqrt(2 KL_t)). Proof: the error of E r_t is at
+    most 2 R times the total variation of those transitions; Pinsker's inequality; the
+    chain rule. It is not exponential in the horizon: if abs(zhat/zeta - 1) <= eps, then
+    KL_t <= t eps^2 (``corrected_value_error_bound``). It is tight to second order in
+    eps.
 
     Examples
     --------
@@ -293,19 +422,43 @@ def kl_path_sides(
     policy: PolicyLike,
     *,
     horizon: int | None = None,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> Sides:
-    """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the
-    pair's own path divergence.
-
-    Without a horizon the sum runs to discount^t = 1e-12 (at most 100 000 steps), and
-    what follows is bounded by Jensen's inequality, so right stays a bound. Cost: O(T *
-    nnz).
+    """Compute both sides of bound (C) on a pair of models.
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``normalised_sides``, whose errors are
-        these
+    target : FiniteMDP
+        P', the target.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount.
+    policy : PolicyLike
+        The policy, also of shape (T, S, A) with a horizon T.
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    Sides
+        The error abs(J(K) - J') by dynamic programming, and ``kl_path_bound`` at the
+        pair's own path divergence.
+
+    Raises
+    ------
+    ValueError
+        If model and target are not a pair, or if a row of K does not sum to 1.
+
+    See Also
+    --------
+    kl_path_bound : The bound from a divergence.
+
+    Notes
+    -----
+    Without a horizon the sum runs to discount^t = 1e-12 (at most 100 000 steps), and
+    the rest is bounded by Jensen's inequality, so the right side stays a bound. The
+    cost is O(T * nnz).
 
     Examples
     --------
@@ -321,38 +474,35 @@ def kl_path_sides(
     steps = optional_horizon_length(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
-        return Sides(
-            left,
-            kl_path_bound(
-                _accumulate_kl(kernel, pi, steps, row_kl)[shift:][:steps], bound, gamma
-            ),
-        )
-    if gamma == 1.0:  # every state that is reached is reached in S transitions
-        is_zero = (
-            bound == 0.0
-            or _accumulate_kl(kernel, pi, kernel.n_states, row_kl)[-1] == 0.0
-        )
-        return Sides(left, 0.0 if is_zero else math.inf)
+        kl = _accumulate_kl(kernel, pi, steps, row_kl)[shift:][:steps]
+        return Sides(left, kl_path_bound(kl, bound, gamma))
+    if gamma == 1.0:
+        if bound == 0.0:
+            return Sides(left, 0.0)
+        # every state that is reached is reached in S transitions
+        all_kl = _accumulate_kl(kernel, pi, kernel.n_states, row_kl)[-1]
+        return Sides(left, 0.0 if all_kl == 0.0 else math.inf)
     length = _n_terms(gamma)
     kl = _accumulate_kl(kernel, pi, length + shift, row_kl)[shift:]
-    later = kl[length] + row_kl.max() * gamma / (1.0 - gamma) if gamma > 0.0 else 0.0
+    later = 0.0
+    if gamma > 0.0:
+        later = kl[length] + row_kl.max() * gamma / (1.0 - gamma)
     tail = gamma**length / (1.0 - gamma) * min(2.0, math.sqrt(2.0 * later))
     return Sides(left, kl_path_bound(kl[:length], bound, gamma) + bound * tail)
 
 
 def _n_terms(gamma: float) -> int:
-    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded
-    by Jensen's inequality.
-    """
-    return (
-        1
-        if gamma == 0.0
-        else min(N_TERMS, math.ceil(math.log(NEGLIGIBLE) / math.log(gamma)))
-    )
+    """Return the number of terms of an infinite sum that are added up (gamma < 1)."""
+    if gamma == 0.0:
+        return 1
+    steps = math.ceil(math.log(NEGLIGIBLE_DISCOUNT) / math.log(gamma))
+    return min(MAX_TERMS, steps)
 
 
-def _check_normalised_pair(target: object, model: object, ratio: object) -> Model:
-    """K, as ``check_pair`` has it; ValueError where its rows miss 1."""
+def _check_normalised_pair(
+    target: object, model: object, ratio: RatioLike | None
+) -> Model:
+    """Check a pair as ``check_pair`` does, and that the rows of K sum to 1."""
     kernel = check_pair(target, model, ratio)
     sums = row_sums(kernel.transitions).reshape(kernel.n_states, kernel.n_actions)
     _checks.require_sums_to_one(sums, "model.transitions")
@@ -362,6 +512,7 @@ def _check_normalised_pair(target: object, model: object, ratio: object) -> Mode
 def _check_constants(
     eta: float, reward_bound: float, discount: float, horizon: int | None
 ) -> tuple[float, float, float, int | None]:
+    """Check the constants of a bound."""
     return (
         _checks.number_in(eta, "eta", 0.0, math.inf),
         _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf),
@@ -371,8 +522,10 @@ def _check_constants(
 
 
 def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
-    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the transitions of
-    either, and the discount.
+    """Compute eta, R and the discount of a pair.
+
+    eta is the largest over (s, a) of sum_s' abs(K - P'), R the largest absolute reward
+    of the transitions of either.
     """
     change = row_sums(sparse.csr_array(abs(kernel.transitions - target.transitions)))
     tables = [
@@ -385,7 +538,10 @@ def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
 def _value_error(
     target: FiniteMDP, kernel: Model, policy: PolicyLike, horizon: int | None
 ) -> float:
-    """|J(K) - J'|; inf where J(K) does not exist (0 if all rewards are 0)."""
+    """Compute abs(J(K) - J'), which is inf where J(K) does not exist.
+
+    It is 0 if all rewards are 0.
+    """
     truth = policy_value(target, policy, horizon=horizon)
     pi = check_policy(policy, target, horizon=horizon)
     try:

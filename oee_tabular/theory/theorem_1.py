@@ -1,5 +1,6 @@
-"""Both sides of a statement; Theorem V.1 of the paper, on the error of g = p/q, beside
-what is true; divergences and risks.
+"""Theorem V.1 of the paper, on the error of a ratio of distributions, and true bounds.
+
+The file also has divergences, risks, and ``Sides``, the two sides of a statement.
 """
 
 from __future__ import annotations
@@ -8,23 +9,24 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.dual import check_distributions
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, RealArrayLike
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Both sides of an inequality ``left <= right``, each as it was computed (no
-    tolerance).
+    """Both sides of an inequality ``left <= right``, without any tolerance.
 
     Attributes
     ----------
-    left, right : float, inf allowed
+    left : float
+        The left side, which may be inf.
+    right : float
+        The right side, which may be inf.
 
     Examples
     --------
@@ -38,33 +40,47 @@ class Sides:
 
     @property
     def holds(self) -> bool:
-        """left <= right."""
+        """Return whether left <= right."""
         return self.left <= self.right
 
     @property
     def ratio(self) -> float:
-        """left / right: above 1 where the inequality fails, by that factor; 0 where
-        left is 0.
+        """Return left / right, by which factor the inequality fails if it is above 1.
+
+        It is 0 where left is 0.
         """
         if self.left == 0.0:
             return 0.0
         return self.left / self.right if self.right > 0.0 else math.inf
 
 
-def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
-    """D_a(p || q) = log(sum p^a q^{1-a}) / (a - 1) in nats; a = 1: KL(p || q), a = inf:
-    log max p/q.
+def renyi_divergence(p: RealArrayLike, q: RealArrayLike, order: float) -> float:
+    """Compute the Renyi divergence D_a(P || Q) of two distributions.
 
     Parameters
     ----------
-    p, q : (n,) nonnegative; counts or probabilities, each is scaled to sum to 1
-    order : a > 0, inf included
+    p : array_like of shape (n,)
+        The distribution P: nonnegative counts or probabilities, scaled to sum to 1.
+    q : array_like of shape (n,)
+        The distribution Q, likewise.
+    order : float
+        The order a > 0; 1 gives KL(P || Q), and inf the logarithm of the largest
+        p/q.
+
+    Returns
+    -------
+    float
+        The divergence in nats. It is inf where p > 0 = q somewhere and a >= 1, and for
+        a < 1 where p and q have no common support.
 
     Notes
     -----
-    It grows with a. inf where p > 0 = q somewhere and a >= 1, and for a < 1 where p and
-    q have nothing in common. exp(D_2) = E_q (p/q)^2 = 1 + chi^2. Source: van Erven and
-    Harremoes, IEEE Trans. Information Theory 60(7), 2014.
+    D_a(P || Q) = log(sum p^a q^{1-a}) / (a - 1) grows with a [1]_. exp(D_2) =
+    E_Q (p/q)^2 = 1 + chi^2.
+
+    References
+    ----------
+    .. [1] T. van Erven and P. Harremoes, IEEE Trans. Information Theory 60(7), 2014.
 
     Examples
     --------
@@ -85,7 +101,7 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     if math.isinf(a):
         return max(0.0, float(log_ratio.max()))
     powers = (a - 1.0) * log_ratio
-    # the sum is near 1: its distance from 1, for orders near 1
+    # for orders near 1 the sum is near 1, and its distance from 1 is more accurate
     if np.abs(powers).max() < 0.5 and unshared_mass < 0.5:
         log_sum = math.log1p(float(ps[shared] @ np.expm1(powers)) - unshared_mass)
     else:
@@ -94,8 +110,10 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
 
 
 def divergence_terms(p: Array, q: Array) -> Array:
-    """p log(p/q) - p + q >= 0, entry by entry, to full relative precision for q near p;
-    q where p = 0, inf where q = 0 < p.
+    """Compute the terms p log(p/q) - p + q >= 0 of a divergence, entry by entry.
+
+    They have full relative precision for q near p. A term is q where p = 0, and inf
+    where q = 0 < p.
     """
     terms: Array = np.asarray(special.kl_div(p, q))
     near = (p > 0.0) & (np.abs(q - p) < 0.5 * p)
@@ -107,25 +125,39 @@ def divergence_terms(p: Array, q: Array) -> Array:
 def estimation_bound(
     n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float
 ) -> float:
-    """Theorem V.1's right-hand side (eq. 5.1): of the SQUARE |ghat_n - g*|_inf^2, with
-    probability ``confidence`` = 1 - delta.
-
-    K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) /
-    n)).
+    """Compute the right-hand side of Theorem V.1 (eq. 5.1), for a given constant.
 
     Parameters
     ----------
-    n : samples from each of P and Q
-    mu, nu : the box, nu in (0, 1) and mu in (1, inf)
-    confidence : 1 - delta, in (0, 1)
-    renyi : D_inf(P || Q) >= 0 in nats, inf allowed; ``renyi_divergence(p, q, inf)``
-    constant : the paper's universal K > 0
+    n : int
+        The number of samples from each of P and Q.
+    mu : float
+        The upper end of the box of ratios, in (1, inf).
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+    confidence : float
+        1 - delta, in (0, 1).
+    renyi : float
+        D_inf(P || Q) >= 0 in nats, which is ``renyi_divergence(p, q, inf)``; it may be
+        inf.
+    constant : float
+        K > 0, which the paper takes to be universal.
+
+    Returns
+    -------
+    float
+        The bound on the square of the sup error of ghat, with probability
+        ``confidence``.
+
+    See Also
+    --------
+    universal_constant_counterexample : Why no universal K exists.
+    sup_error_bound : A true bound with its constants.
 
     Notes
     -----
-    No such K exists (``universal_constant_counterexample``); ``sup_error_bound`` is a
-    version with its constants. The paper calls both this bound and its root M(G,
-    delta).
+    The bound is K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) +
+    sqrt(2 log(1/delta) / n)). The paper calls both this bound and its root M(G, delta).
 
     Examples
     --------
@@ -148,9 +180,9 @@ def estimation_bound(
 
 
 def estimation_sides(
-    g: ArrayLike,
-    p: ArrayLike,
-    q: ArrayLike,
+    g: RealArrayLike,
+    p: RealArrayLike,
+    q: RealArrayLike,
     *,
     n: int,
     mu: float,
@@ -158,15 +190,37 @@ def estimation_sides(
     confidence: float,
     constant: float,
 ) -> Sides:
-    """Theorem 1 on tables: left = max |g - p/q|^2 where p + q > 0, right =
-    ``estimation_bound``; both inf where p > 0 = q.
+    """Compute both sides of Theorem V.1 on tables.
 
     Parameters
     ----------
-    g : (n_cells,) in [nu, mu]
-    p, q : as in ``renyi_divergence``; for a pair of MDPs their occupancies of
-        transitions
-    n, mu, nu, confidence, constant : as in ``estimation_bound``
+    g : array_like of shape (n_cells,)
+        The estimate of p/q, in [nu, mu].
+    p : array_like of shape (n_cells,)
+        The distribution P, nonnegative and scaled to sum to 1; for a pair of MDPs the
+        target's occupancy of transitions.
+    q : array_like of shape (n_cells,)
+        The distribution Q, likewise; the simulator's occupancy of transitions.
+    n : int
+        The number of samples from each of P and Q.
+    mu : float
+        The upper end of the box of ratios, in (1, inf).
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+    confidence : float
+        1 - delta, in (0, 1).
+    constant : float
+        K > 0, which the paper takes to be universal.
+
+    Returns
+    -------
+    Sides
+        The largest squared error of g where p + q > 0, and ``estimation_bound``. Both
+        are inf where p > 0 = q.
+
+    See Also
+    --------
+    estimation_bound : The right-hand side from its constants.
 
     Examples
     --------
@@ -187,14 +241,20 @@ def estimation_sides(
 
 @dataclass(frozen=True)
 class EstimationCounterexample(Sides):
-    """A counterexample to Theorem 1 with K = 1: ``ratio`` is the K that it would need.
+    """A counterexample to Theorem V.1 with K = 1, whose ``ratio`` is the K it needs.
 
     Attributes
     ----------
-    probability_flat : that neither sample has the atom, so that every ghat there
-        minimises the empirical risk
-    probability_forced : that only P's sample has it, so that ghat = mu is the one
-        minimiser; both above 0.05
+    left : float
+        The squared sup error, (mu - 1)^2.
+    right : float
+        The bound of Theorem V.1 at K = 1.
+    probability_flat : float
+        The probability that neither sample has the atom, so that every ghat there
+        minimises the empirical risk; above 0.05.
+    probability_forced : float
+        The probability that only P's sample has the atom, so that ghat = mu is the only
+        minimiser; above 0.05.
 
     Examples
     --------
@@ -210,15 +270,30 @@ class EstimationCounterexample(Sides):
 def universal_constant_counterexample(
     n: int, *, mu: float = 10.0, nu: float = 0.1, confidence: float = 0.95
 ) -> EstimationCounterexample:
-    """P = Q = (1/n, 1 - 1/n), so g* = 1 and D_inf = 0: with constant probability |ghat
-    - g*|_inf = mu - 1, whatever n is.
-
-    left = (mu - 1)^2, right = the bound of Theorem 1 at K = 1, of order n^-1/2: the K
-    needed grows as sqrt(n).
+    """Construct a counterexample to the universal constant of Theorem V.1.
 
     Parameters
     ----------
-    n, mu, nu, confidence : as in ``estimation_bound``; n at least 2
+    n : int
+        The number of samples from each of P and Q, at least 2.
+    mu : float, default 10.0
+        The upper end of the box of ratios, in (1, inf).
+    nu : float, default 0.1
+        The lower end of the box of ratios, in (0, 1).
+    confidence : float, default 0.95
+        1 - delta, in (0, 1).
+
+    Returns
+    -------
+    EstimationCounterexample
+        The squared sup error (mu - 1)^2, the bound of Theorem V.1 at K = 1, and the
+        probabilities of such an error.
+
+    Notes
+    -----
+    P = Q = (1/n, 1 - 1/n), so g* = 1 and D_inf = 0, and with constant probability the
+    sup error is mu - 1, whatever n is. The bound is of order n^-1/2, so the K that is
+    needed grows as sqrt(n).
 
     Examples
     --------
@@ -241,25 +316,41 @@ def universal_constant_counterexample(
 def sup_error_bound(
     n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float
 ) -> float:
-    """A true bound in place of Theorem 1 for tables, ghat = phat/qhat, with probability
-    ``confidence`` = 1 - delta.
+    """Compute a true bound on the sup error of a table of ratios, phat/qhat.
 
-    |ghat - g*|_inf <= mu (e_p + e_q) / (1 - e_q),   e_p = sqrt(3 log(4 n_cells / delta) / (n p_min)), e_q likewise.
+    It takes the place of Theorem V.1.
 
     Parameters
     ----------
-    n : samples from each of P and Q
-    p_min, q_min : smallest positive probability of a cell, in [0, 1]
-    n_cells : cells of the table
-    mu : max p/q, at least 1
-    confidence : 1 - delta, in (0, 1)
+    n : int
+        The number of samples from each of P and Q.
+    p_min : float
+        The smallest positive probability of a cell under P, in [0, 1].
+    q_min : float
+        The smallest positive probability of a cell under Q, in [0, 1].
+    n_cells : int
+        The number of cells of the table.
+    mu : float
+        The largest p/q, at least 1.
+    confidence : float
+        1 - delta, in (0, 1).
+
+    Returns
+    -------
+    float
+        The bound on the error itself, not its square, with probability ``confidence``.
+        It is inf where e_q >= 1: a cell that Q's sample misses is then not excluded.
+
+    See Also
+    --------
+    estimation_bound : The bound of the paper.
 
     Notes
     -----
-    The error itself, not its square. Chernoff's exp(-n p e^2 / 3), for each cell and
-    each side, holds for e <= 1; where e_p would be larger it solves n p e^2 / (2 + e) =
-    log(4 n_cells / delta) instead. inf where e_q >= 1: a cell that Q's sample misses is
-    then not excluded.
+    The bound is mu (e_p + e_q) / (1 - e_q) with e_p = sqrt(3 log(4 n_cells / delta) /
+    (n p_min)), and e_q likewise. Chernoff's exp(-n p e^2 / 3), for each cell and each
+    side, holds for e <= 1; where e_p would be larger it solves n p e^2 / (2 + e) =
+    log(4 n_cells / delta) instead.
 
     Examples
     --------
@@ -276,34 +367,47 @@ def sup_error_bound(
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     log_term = math.log(4.0 * cells / delta)
     e_p, e_q = (_chernoff(log_term, samples * x) for x in smallest)
-    return largest * (e_p + e_q) / (1.0 - e_q) if e_q < 1.0 else math.inf
+    if e_q >= 1.0:
+        return math.inf
+    return largest * (e_p + e_q) / (1.0 - e_q)
 
 
 def _chernoff(log_term: float, mean: float) -> float:
-    """The e with n p e^2 / 3 = log_term, mean = n p, or with 2 + e in place of 3 where
-    that e is above 1.
+    """Solve n p e^2 / 3 = log_term for e, where mean = n p.
+
+    If that e is above 1, 2 + e takes the place of 3.
     """
     if mean == 0.0:
         return math.inf
     small = math.sqrt(3.0 * log_term / mean)
-    return (
-        small
-        if small <= 1.0
-        else (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
-    )
+    if small <= 1.0:
+        return small
+    return (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
 
 
-def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
-    """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p
-    log g, phi(u) = u - 1 - log u.
-
-    left is the difference of the two risks, right the expectation, accurate for g near
-    g* as well; equal up to rounding. inf where g = 0 < p or q = 0 < p.
+def excess_risk(g: RealArrayLike, p: RealArrayLike, q: RealArrayLike) -> Sides:
+    """Compute the excess risk of a ratio, directly and as an expectation.
 
     Parameters
     ----------
-    g : (n,) nonnegative
-    p, q : as in ``renyi_divergence``
+    g : array_like of shape (n,)
+        The ratio, nonnegative.
+    p : array_like of shape (n,)
+        The distribution P: nonnegative counts or probabilities, scaled to sum to 1.
+    q : array_like of shape (n,)
+        The distribution Q, likewise.
+
+    Returns
+    -------
+    Sides
+        The difference of the two risks, and the expectation, which is accurate for g
+        near g* as well. They are equal up to rounding, and inf where g = 0 < p or
+        q = 0 < p.
+
+    Notes
+    -----
+    L(g) - L(g*) = E_P[phi(g/g*)], plus the sum of q g where p = 0, with the risk
+    L(g) = sum q g - sum p log g and phi(u) = u - 1 - log u.
 
     Examples
     --------
@@ -325,15 +429,33 @@ def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
 
 
 def squared_error_sides(
-    g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float | None = None
+    g: RealArrayLike, p: RealArrayLike, q: RealArrayLike, *, mu: float | None = None
 ) -> Sides:
-    """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls
-    L2(P), not the sup norm.
+    """Compute both sides of the bound on the squared error by the excess risk.
 
     Parameters
     ----------
-    g, p, q : as in ``excess_risk``
-    mu : at least g and g* where p > 0; None: the largest of them
+    g : array_like of shape (n,)
+        The ratio, nonnegative.
+    p : array_like of shape (n,)
+        The distribution P: nonnegative counts or probabilities, scaled to sum to 1.
+    q : array_like of shape (n,)
+        The distribution Q, likewise.
+    mu : float, optional
+        A number that is at least g and g* where p > 0; None means the largest of them.
+
+    Returns
+    -------
+    Sides
+        E_P (g - g*)^2, and 2 mu^2 (L(g) - L(g*)).
+
+    See Also
+    --------
+    excess_risk : The risk on the right-hand side.
+
+    Notes
+    -----
+    A bound on the risk controls the error in L2(P), and not in the sup norm.
 
     Examples
     --------
@@ -345,11 +467,9 @@ def squared_error_sides(
     values = _checks.float_array(g, "g")[ps > 0.0]
     best = _ratio(ps, qs)[ps > 0.0]
     largest = float(max(values.max(), best.max()))
-    bound = (
-        largest
-        if mu is None
-        else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
-    )
+    bound = largest
+    if mu is not None:
+        bound = _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
     if bound < largest:
         raise ArgumentError(
             "mu",
@@ -360,6 +480,7 @@ def squared_error_sides(
 
 
 def _check_same_length(g: Array, p: Array) -> None:
+    """Check that g has as many entries as p."""
     if g.shape != p.shape:
         raise ArgumentError(
             "g", f"must have the length of p, {len(p)}; it has {len(g)}"
@@ -367,18 +488,21 @@ def _check_same_length(g: Array, p: Array) -> None:
 
 
 def _ratio(p: Array, q: Array) -> Array:
-    """p/q: inf where q = 0 < p, and 1 where p = q = 0 (nothing depends on it)."""
+    """Compute p/q, which is inf where q = 0 < p, and 1 where p = q = 0.
+
+    Nothing depends on the latter.
+    """
     return np.divide(p, q, out=np.where(p > 0.0, np.inf, 1.0), where=q > 0.0)
 
 
 def check_box(nu: float, mu: float) -> tuple[float, float]:
-    """nu in (0, 1) and mu > 1, or ValueError."""
+    """Check that nu is in (0, 1) and mu above 1, and return them in this order."""
     lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
     return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
 
 
 def check_ratio(value: object, name: str, nu: float, mu: float) -> Array:
-    """The values of a g as an array, or ValueError where one is outside [nu, mu]."""
+    """Check that the values of a ratio are in [nu, mu], and return their array."""
     array = _checks.float_array(value, name, ndim=1)
     bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
     if bad.size:

@@ -1,8 +1,6 @@
-"""A target and a model of it: the simulation lemma, the paper's Lemma V.1 (zeta) and
-Theorem V.2 (the value), and what is true.
+"""The simulation lemma, and the paper's Lemma V.1 (zeta) and Theorem V.2 (the value).
 
-Reference: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time,
-Machine Learning 49, 2002.
+They compare a target with a model of it. Beside the paper's statements are true ones.
 """
 
 from __future__ import annotations
@@ -10,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -28,20 +27,26 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
+from oee_tabular.ratio import TransitionRatio
 from oee_tabular.theory.theorem_1 import Sides, check_box, check_ratio
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, PolicyLike, RealArrayLike, SparseLike
+
+# a ratio as ``reweight`` takes it
+RatioLike: TypeAlias = SparseLike | TransitionRatio
 
 
 @dataclass(frozen=True)
 class SimulationLemma:
-    """J' - J(K) by two evaluations, and by each form of the lemma; the three are equal
-    up to rounding.
+    """The difference of two values, computed in three ways that are equal.
 
     Attributes
     ----------
-    difference : J' - J(K), units of J
-    by_target_occupancy, by_model_occupancy : the same, the change of the rows weighted
-        by d' or by d_K
+    difference : float
+        J' - J(K) by two evaluations, not normalised.
+    by_target_occupancy : float
+        The same, as the change of the rows weighted by the target's occupancy d'.
+    by_model_occupancy : float
+        The same, as the change of the rows weighted by the model's occupancy d_K.
 
     Examples
     --------
@@ -62,35 +67,52 @@ def simulation_lemma(
     policy: PolicyLike,
     *,
     horizon: int | None = None,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> SimulationLemma:
-    """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any
-    nonnegative kernel K [1].
-
-    With a horizon, sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same with
-    the two exchanged (V_T = 0). Where rewards are r(s, a, s'), r(s, a, s') + g V(s')
-    takes the place of g V(s').
+    """Compute the difference of two models' values, also by the simulation lemma.
 
     Parameters
     ----------
-    target : FiniteMDP, P'
-    model : FiniteMDP or ReweightedModel, K: the target's rewards, initial distribution
-        and discount, rows of any sum
-    policy : (S, A), or (T, S, A) with a horizon T
-    horizon : positive int or None
-    ratio : None, or csr (S*A, S) or an object with such ``values``: ``model`` is then
-        the simulator P, and K = ratio * P
+    target : FiniteMDP
+        P', the target.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount,
+        and rows with any sum.
+    policy : PolicyLike
+        The policy, also of shape (T, S, A) with a horizon T.
+    horizon : int, optional
+        T, the number of rewards; None means the infinite discounted sum.
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    SimulationLemma
+        J' - J(K) by two evaluations, and by the two forms of the lemma.
 
     Raises
     ------
     ValueError
-        What is not a pair; without a horizon, discount 1 or a K whose infinite sum does
-        not exist.
+        If model and target are not a pair; without a horizon, if the discount is 1 or
+        the infinite sum of K does not exist.
 
     Notes
     -----
-    Values are not normalised. Cost: O(T * nnz) time and O(T * S) memory, or four sparse
-    solves.
+    For any nonnegative kernel K the lemma [1]_ says::
+
+        J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>
+
+    With a horizon it is sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same
+    with the two exchanged (V_T = 0). Where rewards are r(s, a, s'), r(s, a, s') +
+    g V(s') takes the place of g V(s').
+
+    Values are not normalised. The cost is O(T * nnz) time and O(T * S) memory, or four
+    sparse solves.
+
+    References
+    ----------
+    .. [1] M. Kearns and S. Singh, Near-optimal reinforcement learning in polynomial
+       time, Machine Learning 49, 2002.
 
     Examples
     --------
@@ -123,13 +145,16 @@ def _error_by_occupancy(
     measured: Model,
     valued: Model,
 ) -> float:
-    """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of
+    """Compute sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>.
+
+    alpha is the distribution of state-action pairs in ``measured``, V the value in
     ``valued``.
     """
     gamma = target.discount
     reward_error = target.rewards - kernel.rewards
 
     def row_errors(value: Array) -> Array:
+        """Compute r' - r_K + g (P' - K) V of each state-action pair, (S, A)."""
         change: Array = target.transitions @ value - kernel.transitions @ value
         return reward_error + gamma * change.reshape(reward_error.shape)
 
@@ -150,7 +175,7 @@ def _error_by_occupancy(
 
 
 def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array]:
-    """alpha_t, (S, A), for t = 0..steps-1; not normalised."""
+    """Yield alpha_t (S, A) for t = 0..steps-1, which is not normalised."""
     transposed = sparse.csr_array(model.transitions.T)
     states = model.initial
     for t in range(steps):
@@ -160,10 +185,12 @@ def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array
 
 
 def check_pair(
-    target: object, model: object, ratio: object = None
+    target: object, model: object, ratio: RatioLike | None = None
 ) -> FiniteMDP | ReweightedModel:
-    """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP
-    under other dynamics.
+    """Check a target and a model of it, and return the model K.
+
+    It is ``model``, or ratio * model. A ValueError says where it is not the target's
+    MDP under other transition probabilities.
     """
     target = _checks.instance(target, FiniteMDP, "target")
     if ratio is not None:
@@ -179,7 +206,7 @@ def check_pair(
             f"must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}",
         )
     if target.transitions.shape != model.transitions.shape:
-        raise ValueError(
+        raise ValueError(  # it concerns two arguments
             "target and model must have the same states and actions; their transitions"
             f" have shapes {target.transitions.shape} and {model.transitions.shape}"
         )
@@ -201,8 +228,9 @@ def check_pair(
 
 
 def _check_rewards(target: FiniteMDP, model: Model) -> None:
-    """Check the form of rewards, and their values (r(s, a, s') on the transitions that
-    both make).
+    """Check that the rewards have the same form and the same values.
+
+    Rewards r(s, a, s') are compared on the transitions that both models make.
     """
     if target.reward_data is None or model.reward_data is None:
         if target.reward_data is not model.reward_data:
@@ -222,9 +250,9 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
             s, a = bad[0]
             wanted = target.rewards[s, a]
             found = model.rewards[s, a]
-            raise ValueError(
-                f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is"
-                f" {found:g}"
+            raise ArgumentError(
+                f"model.rewards[{s}, {a}]",
+                f"must be the target's {wanted:g}; it is {found:g}",
             )
         return
     found, shared = align(
@@ -236,28 +264,44 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
     if wrong.size:
         k = int(wrong[0])
         where = name_transition(target.transitions, k, target.n_actions, target.names)
-        raise ValueError(
-            f"model's reward at {where} must be the target's {target.reward_data[k]:g};"
-            f" it is {found[k]:g}"
+        raise ArgumentError(
+            f"model's reward at {where}",
+            f"must be the target's {target.reward_data[k]:g}; it is {found[k]:g}",
         )
 
 
 def ratio_error_bound(
     error: float, mu: float, nu: float, *, tight: bool = False
 ) -> float:
-    """Lemma V.1 (eq. 5.2): |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error;
-    ``tight``: (mu + nu) / nu^2 * error.
-
-    The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
+    """Compute the bound of Lemma V.1 (eq. 5.2) on the sup error of zeta.
 
     Parameters
     ----------
-    error : in [0, inf], of both |betahat - beta|_inf (Theorem 1 twice: probability 1 -
-        2 delta)
-    mu, nu : the box of all four ratios, as in ``estimation_bound``: zeta = beta_sas' /
-        beta_sa is in [nu/mu, mu/nu]
-    tight : whether the smallest constant, attained as error -> 0, takes the place of
-        the paper's
+    error : float
+        The sup error of both betahat, in [0, inf]. By Theorem V.1 for each of the two
+        it would have the probability 1 - 2 delta.
+    mu : float
+        The upper end of the box of ratios, in (1, inf).
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+    tight : bool, default False
+        Whether the smallest constant, which is attained as the error tends to 0, takes
+        the place of the paper's.
+
+    Returns
+    -------
+    float
+        The bound mu (1 + nu mu) / nu^2 * error; (mu + nu) / nu^2 * error if ``tight``.
+
+    See Also
+    --------
+    ratio_error_sides : Both sides on tables.
+
+    Notes
+    -----
+    The box is that of all four ratios, so that zeta = beta_sas' / beta_sa is in
+    [nu/mu, mu/nu]. The paper has M(G, delta) / n^{1/4} for ``error``; M already
+    contains n.
 
     Examples
     --------
@@ -270,32 +314,50 @@ def ratio_error_bound(
     square = lower**2
     if size == 0.0:
         return 0.0
-    return (
-        (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size
-        if square > 0.0
-        else math.inf
-    )
+    if not square > 0.0:
+        return math.inf
+    factor = upper + lower if tight else upper * (1.0 + lower * upper)
+    return factor / square * size
 
 
 def ratio_error_sides(
-    moves: object,
-    pairs: object,
-    true_moves: object,
-    true_pairs: object,
+    moves: RealArrayLike,
+    pairs: RealArrayLike,
+    true_moves: RealArrayLike,
+    true_pairs: RealArrayLike,
     *,
     mu: float,
     nu: float,
     tight: bool = False,
 ) -> Sides:
-    """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of
-    the two sup errors.
+    """Compute both sides of Lemma V.1 on tables.
 
     Parameters
     ----------
-    moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's,
-        and the pair's value is repeated
-    true_moves, true_pairs : (n,) the true ratios; all in [nu, mu]
-    mu, nu, tight : as in ``ratio_error_bound``
+    moves : array_like of shape (n,)
+        The estimate of beta_sas' of each transition, in [nu, mu].
+    pairs : array_like of shape (n,)
+        The estimate of beta_sa of each transition's state-action pair, in [nu, mu].
+    true_moves : array_like of shape (n,)
+        The true beta_sas', in [nu, mu].
+    true_pairs : array_like of shape (n,)
+        The true beta_sa, in [nu, mu].
+    mu : float
+        The upper end of the box of ratios, in (1, inf).
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+    tight : bool, default False
+        Whether the smallest constant takes the place of the paper's.
+
+    Returns
+    -------
+    Sides
+        The sup error of zhat, and ``ratio_error_bound`` at the larger of the two sup
+        errors.
+
+    See Also
+    --------
+    ratio_error_bound : The bound from its constants.
 
     Examples
     --------
@@ -327,7 +389,7 @@ def ratio_error_sides(
             np.abs(bottom - best_bottom).max(initial=0.0),
         )
     )
-    # a quotient beyond the largest float is infinite: nothing from another such one
+    # a quotient beyond the largest float is infinite, and equal to another such one
     with np.errstate(over="ignore"):
         quotient = top / bottom
         best = best_top / best_bottom
@@ -339,27 +401,43 @@ def ratio_error_sides(
 def value_error_bound(
     horizon: int, reward_bound: float, discount: float, *, error: float, nu: float
 ) -> float:
-    """Theorem V.2's right-hand side (eq. 5.3): of the SQUARE (J' - J(zhat P))^2, FALSE
-    as stated (x = gamma / nu).
-
-    T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2
-    sum_{t=1..T} t x^t.
+    """Compute the right-hand side of Theorem V.2 (eq. 5.3), which is false as stated.
 
     Parameters
     ----------
-    horizon : the paper's T. Its sum runs over t = 0..T, T + 1 rewards:
-        ``policy_value(..., horizon=T + 1)``
-    reward_bound : R >= max |r(s, a)|
-    discount : gamma in [0, 1]
-    error : M(G, delta) / n^{1/4}, the sup error of both betahat
-    nu : in (0, 1)
+    horizon : int
+        The paper's T. Its sum runs over t = 0..T, T + 1 rewards, as in
+        ``policy_value(..., horizon=T + 1)``.
+    reward_bound : float
+        R, at least the largest absolute reward r(s, a).
+    discount : float
+        The discount gamma, in [0, 1].
+    error : float
+        The sup error of both betahat, M(G, delta) / n^{1/4}.
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+
+    Returns
+    -------
+    float
+        The bound on the square (J' - J(zhat P))^2. It is inf where x^T overflows.
+
+    See Also
+    --------
+    value_bound_counterexample : A pair that exceeds the bound.
+    corrected_value_error_bound : A true bound of this form.
 
     Notes
     -----
-    ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1
-    + error))^2 > gamma / nu. Causes: sum t stands where rows that do not sum to 1 give
-    sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta. It is inf
-    where x^T overflows.
+    With x = gamma / nu the bound is::
+
+        T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2
+            = T R^2 error^2 sum_{t=1..T} t x^t
+
+    ``value_bound_counterexample`` exceeds it, by any factor as T grows where
+    (gamma (1 + error))^2 > gamma / nu. Its proof has sum t where rows that do not sum
+    to 1 give sum t^2, drops the constant of the lemma, and bounds zeta by 1/nu, which
+    does not bound it.
 
     Examples
     --------
@@ -389,16 +467,41 @@ def value_error_sides(
     horizon: int,
     error: float,
     nu: float,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
 ) -> Sides:
-    """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right =
-    ``value_error_bound`` with R = max |r(s, a)|.
+    """Compute both sides of Theorem V.2 on a pair of models.
 
     Parameters
     ----------
-    target, model, policy, ratio : as in ``simulation_lemma``; rewards r(s, a), as the
-        theorem has them
-    horizon, error, nu : as in ``value_error_bound``
+    target : FiniteMDP
+        P', the target, with rewards r(s, a), as the theorem has them.
+    model : FiniteMDP or ReweightedModel
+        K, the model: it has the target's rewards, initial distribution and discount.
+    policy : PolicyLike
+        The policy, also of shape (T + 1, S, A).
+    horizon : int
+        The paper's T; its sum runs over t = 0..T.
+    error : float
+        The sup error of both betahat.
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+    ratio : csr_array of shape (S*A, S) or TransitionRatio, optional
+        A ratio: ``model`` is then the simulator P, and K = ratio * P.
+
+    Returns
+    -------
+    Sides
+        The exact (J' - J(K))^2, and ``value_error_bound`` with R the largest absolute
+        reward.
+
+    Raises
+    ------
+    ValueError
+        If model and target are not a pair, or if rewards are r(s, a, s').
+
+    See Also
+    --------
+    value_error_bound : The right-hand side from its constants.
 
     Examples
     --------
@@ -422,16 +525,32 @@ def value_error_sides(
 def value_bound_counterexample(
     horizon: int, discount: float, epsilon: float, nu: float
 ) -> Sides:
-    """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1:
-    zhat = 1 + epsilon, sup error epsilon.
-
-    left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right =
-    the theorem's bound.
+    """Construct a counterexample to Theorem V.2.
 
     Parameters
     ----------
-    horizon, discount, nu : as in ``value_error_bound``
-    epsilon : the sup error, at least 0
+    horizon : int
+        The paper's T; its sum runs over t = 0..T.
+    discount : float
+        The discount gamma, in [0, 1].
+    epsilon : float
+        The sup error of both betahat, at least 0.
+    nu : float
+        The lower end of the box of ratios, in (0, 1).
+
+    Returns
+    -------
+    Sides
+        The squared error by dynamic programming, and the bound of the theorem.
+
+    See Also
+    --------
+    value_error_bound : The bound of the theorem.
+
+    Notes
+    -----
+    P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1, so that zhat is
+    1 + epsilon, and the squared error (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2.
 
     Examples
     --------
@@ -449,17 +568,35 @@ def value_bound_counterexample(
 def corrected_value_error_bound(
     horizon: int, reward_bound: float, discount: float, *, error: float
 ) -> float:
-    """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T
-    R^2 error^2 sum_{t=1..T} t gamma^{2t}.
-
-    The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's
-    inequality. For T of order
-    1 / (1 - gamma) the error is of order (1 - gamma)^{-3/2}: not exponential.
+    """Compute a true bound in place of Theorem V.2, for rows that sum to 1.
 
     Parameters
     ----------
-    horizon, reward_bound, discount : as in ``value_error_bound``
-    error : max |zhat/zeta - 1|
+    horizon : int
+        The paper's T; its sum runs over t = 0..T.
+    reward_bound : float
+        R, at least the largest absolute reward.
+    discount : float
+        The discount gamma, in [0, 1].
+    error : float
+        The largest absolute zhat/zeta - 1.
+
+    Returns
+    -------
+    float
+        The bound on (J' - J(zhat P))^2.
+
+    See Also
+    --------
+    value_error_bound : The bound of the paper.
+    kl_path_bound : The bound that it follows from.
+
+    Notes
+    -----
+    The bound is 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}, the paper's form without
+    1/nu. It follows from (C) with KL_t <= t error^2, and from Cauchy's inequality. For
+    T of order 1 / (1 - gamma) the error is of order (1 - gamma)^{-3/2}, which is not
+    exponential.
 
     Examples
     --------
@@ -470,7 +607,7 @@ def corrected_value_error_bound(
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     size = _checks.number_in(error, "error", 0.0, math.inf)
     steps = _checks.positive_integer(horizon, "horizon")
-    # of the terms; the factor T stays
+    # the number of terms may be cut, the factor T may not
     last = limit_horizon(steps, gamma, work=100.0, kept=8)
     t = np.arange(1.0, last + 1.0)
     return float(
