@@ -75,8 +75,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.simulator import Oracle as Oracle
     from oee_tabular.estimators.simulator import Simulator as Simulator
 
-# the public names of each file, which is imported on first use: ``oee --help`` needs the
-# table of short names alone
+# the public names of each file, which is imported on first use: ``oee --help`` needs
+# the table of short names alone
 _NAMES = {
     "base": "Estimate Estimator",
     "calibrated": "calibrate",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -441,7 +441,12 @@ class TabularEstimator:
         raise NotImplementedError
 
 
-RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
+RatioOption: TypeAlias = (
+    Literal["conditional", "ratio_of_ratios", "joint"]
+    | Method
+    | TransitionRatio
+    | Callable[..., TransitionRatio]
+)
 # for methods that draw as many simulated transitions as the log has
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})
 # the methods that a name stands for, and what they claim

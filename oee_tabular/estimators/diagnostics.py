@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from textwrap import fill, indent
 from typing import Any, Generic, Literal, NoReturn, Self, TypeVar, overload
 
 # value: a discounted sum of rewards, or an error of one; share: in [0, 1]; ratio: of
@@ -78,6 +79,11 @@ class Diagnostics(dict[str, Any]):
     >>> Diagnostics.unit_of("one_step_value"), Diagnostics.unit_of("colour")
     ('value', None)
     """
+
+    def __init__(
+        self, facts: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), /, **more: Any
+    ) -> None:
+        super().__init__(facts, **more)
 
     # what the error and the interval are
     standard_error_of = Diagnostic(
@@ -318,9 +324,14 @@ def _describe_fields() -> str:
     for name, field in Diagnostics.declared().items():
         lines += [
             f"{name} : {field.kind.__name__}, {field.unit}",
-            f"    {field.__doc__}",
+            fill(
+                field.__doc__ or "",
+                84,
+                initial_indent=" " * 4,
+                subsequent_indent=" " * 4,
+            ),
         ]
-    return "\n    ".join(lines)
+    return indent("\n".join(lines), " " * 4).lstrip()
 
 
 # the list is made from the declarations, so that it cannot differ from them; without

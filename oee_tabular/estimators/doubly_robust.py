@@ -95,8 +95,8 @@ class DoublyRobust(RatioEstimator):
 
     References
     ----------
-    .. [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016.
-    .. [2] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation,
+    .. [1] Jiang and Li, Doubly robust off-policy value evaluation, ICML 2016.
+    .. [2] Thomas and Brunskill, Data-efficient off-policy policy evaluation,
        ICML 2016.
 
     Examples
@@ -329,7 +329,7 @@ class Magic(RatioEstimator):
 
     References
     ----------
-    .. [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation for
+    .. [1] Thomas and Brunskill, Data-efficient off-policy policy evaluation for
        reinforcement learning, ICML 2016.
 
     Examples

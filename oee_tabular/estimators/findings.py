@@ -19,8 +19,8 @@ MIN_WEIGHTED = 10.0  # an effective sample size
 MIN_WEIGHTED_SHARE = 0.05  # an effective sample size, as a share of the episodes
 MAX_GAP = 1e-6  # nats
 MAX_ERROR_BOUND = 1e-6  # a share of the value
-# the kind of finding about values that rest on a few episodes, whose rows a short report
-# leaves out
+# the kind of finding about values that rest on a few episodes, whose rows a short
+# report leaves out
 FEW_WEIGHTED = "weights"
 
 
@@ -241,7 +241,7 @@ def conflict_with_log(ml_value: float, distance: float) -> Findings:
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
-    """Warn of a value outside the interval, whose "lower" or "upper" ``end`` is given."""
+    """Warn of a value outside the interval, beyond its "lower" or "upper" ``end``."""
     text = (
         f"The estimator's own value, {value}, lies outside the interval. The table"
         f" gives the interval's {end} end instead."

@@ -1,4 +1,4 @@
-"""Functions as estimators, from a problem and a policy to a float or an ``Estimate``."""
+"""Functions as estimators, from problem and policy to a float or an ``Estimate``."""
 
 from __future__ import annotations
 

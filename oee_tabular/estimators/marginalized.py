@@ -38,8 +38,8 @@ from oee_tabular.typing import Array, Csr, IntArray, RealArrayLike
 # condition of the saddle point's matrix, its columns scaled, above which no digit of
 # theta is certain
 MAX_CONDITION = 1e12
-# length of the part of a unit column that the others do not span, below which the column
-# is a combination of them
+# length of the part of a unit column that the others do not span, below which the
+# column is a combination of them
 RANK_TOLERANCE = 1e-10
 FeaturesLike: TypeAlias = RealArrayLike | Callable[[IntArray, IntArray], RealArrayLike]
 
@@ -93,7 +93,7 @@ class Marginalized(RatioEstimator):
 
     References
     ----------
-    .. [1] P. Katdare, N. Jiang and K. Driggs-Campbell, Marginalized importance sampling
+    .. [1] Katdare, Jiang and Driggs-Campbell, Marginalized importance sampling
        for off-environment policy evaluation, CoRL 2023.
 
     Examples
@@ -224,7 +224,7 @@ class Marginalized(RatioEstimator):
     def _fit_beta(
         self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array
     ) -> tuple[Array, float]:
-        """Fit beta (S*A,), which is 0 in unrecorded pairs, and return it and its gap."""
+        """Fit beta (S*A,), which is 0 in unrecorded pairs; return it and its gap."""
         if self.features is not None and horizon is not None:
             raise ArgumentError(
                 "horizon",
@@ -237,8 +237,8 @@ class Marginalized(RatioEstimator):
         beta = np.zeros_like(share)
         gap = 0.0
         inside = float(time[recorded].sum())
-        # ``density_ratio`` scales both to distributions: its ratio is beta / inside, and
-        # its box has to be divided likewise
+        # ``density_ratio`` scales both to distributions: its ratio is beta / inside,
+        # and its box has to be divided likewise
         if inside > 0:
             box = check_box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
@@ -391,7 +391,7 @@ class DualDice(TabularEstimator):
 
     References
     ----------
-    .. [1] O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted
+    .. [1] Nachum et al., DualDICE: behavior-agnostic estimation of discounted
        stationary distribution corrections, NeurIPS 2019.
 
     Examples

@@ -152,7 +152,7 @@ NAMED: Mapping[str, Named] = {
 }
 
 
-# names from the literature; in finite states each has the solution of an estimator above
+# names from the literature: in a table each has the solution of an estimator above
 ALIASES: Mapping[str, str] = {
     # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
     "fqe": "model-based",

@@ -51,8 +51,8 @@ NORMAL = NormalDist().inv_cdf(0.975)
 # interpolated in the logarithm of the ratio; the first, below 1, is a guess.
 VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
 THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
-# distance of the value from maximum likelihood's, in standard errors of their difference,
-# above which a finding reports it
+# distance of the value from maximum likelihood's, in standard errors of their
+# difference, above which a finding reports it
 CONTRADICTION = 2.0
 # details of a ratio that become diagnostics of the value
 DETAILS = ("strength", "meaning", "n_keys")
@@ -124,7 +124,7 @@ class OffEnvironment(RatioEstimator):
 
     References
     ----------
-    .. [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification,
+    .. [1] Armstrong, Kline and Sun, Adapting to misspecification,
        arXiv 2305.14265.
 
     Examples

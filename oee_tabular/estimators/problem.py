@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular.data import TransitionCounts, Transitions, read_log
@@ -26,8 +27,22 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
-from oee_tabular.typing import Array, Csr, IntArray, PolicyLike
+from oee_tabular.typing import (
+    Array,
+    Csr,
+    FrameLike,
+    IntArray,
+    PolicyLike,
+    SparseLike,
+)
 
+# a log with episodes in any of its forms (``read_log``): a log, a data frame, a path,
+# or a list of paths or of episodes
+EpisodesLike: TypeAlias = (
+    Transitions | FrameLike | str | os.PathLike[str] | Sequence[Any]
+)
+LogLike: TypeAlias = EpisodesLike | TransitionCounts | SparseLike
+LogT = TypeVar("LogT", bound=Transitions | TransitionCounts)
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 
@@ -105,54 +120,58 @@ class Problem:
     log: Transitions | TransitionCounts
     horizon: int | None = None
     behavior_policy: Array | None = None
-    simulator_data: Any = None
+    simulator_data: Transitions | Literal["exact"] | None = None
     rewards: Literal["simulator", "log"] = "simulator"
     episodes: Transitions | None = None
-    _counts: Any = None  # the counts that were given; ``counts`` are those in use
+    _counts: Csr | None = (
+        None  # the counts that were given; ``counts`` are those in use
+    )
     impossible: Literal["refuse", "drop"] = "refuse"
 
     def __init__(
         self,
         simulator: FiniteMDP,
-        log: Any,
+        log: LogLike,
         horizon: int | None = None,
         behavior_policy: PolicyLike | None = None,
-        simulator_data: Any = None,
+        simulator_data: Transitions | Literal["exact"] | None = None,
         rewards: Literal["simulator", "log"] = "simulator",
-        episodes: Any = None,
-        counts: Any = None,
+        episodes: EpisodesLike | None = None,
+        counts: SparseLike | None = None,
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
-        _counts: Any = None,  # dataclasses.replace passes every field by its name
+        _counts: SparseLike
+        | None = None,  # dataclasses.replace passes every field by its name
     ) -> None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         _checks.one_of(impossible, "impossible", ("refuse", "drop"), _ALLOW)
         may_drop = impossible == "drop"
         counts = _counts if counts is None else counts
-        if sparse.issparse(log):
+        if _checks.is_sparse(log):
             log = TransitionCounts.of(
                 _check_counts(log, simulator, may_drop=may_drop), simulator.n_actions
             )
-        log = read_log(log, simulator)
+        recorded = read_log(log, simulator)
+        whole: Transitions | None = None
         if episodes is not None:
-            episodes = read_log(episodes, simulator, "episodes")
-            _checks.instance(episodes, Transitions, "episodes", "Transitions")
+            source = read_log(episodes, simulator, "episodes")
+            whole = _checks.instance(source, Transitions, "episodes", "Transitions")
         _checks.one_of(rewards, "rewards", ("simulator", "log"))
         horizon = optional_horizon_length(horizon, simulator)
         if behavior_policy is not None:
             behavior_policy = check_policy(
                 behavior_policy, simulator, name="behavior_policy"
             )
-        log = settle(log, simulator, "log")
-        if episodes is not None:
-            episodes = settle(episodes, simulator, "episodes")
+        recorded = settle(recorded, simulator, "log")
+        if whole is not None:
+            whole = settle(whole, simulator, "episodes")
         check_simulator_data(simulator_data)
         if isinstance(simulator_data, Transitions):
             name = "simulator_data"
             simulator_data = settle(
                 simulator_data.numbered(simulator, name), simulator, name
             )
-        if rewards == "log" and log.moves().reward_sum is None:
+        if rewards == "log" and recorded.moves().reward_sum is None:
             raise ArgumentError(
                 "rewards",
                 "must be 'simulator' where the log has no reward column; it is 'log'",
@@ -161,12 +180,12 @@ class Problem:
             counts = _check_counts(counts, simulator, may_drop=may_drop)
         fields = (
             simulator,
-            log,
+            recorded,
             horizon,
             behavior_policy,
             simulator_data,
             rewards,
-            episodes,
+            whole,
             counts,
             impossible,
         )
@@ -251,7 +270,7 @@ class Problem:
 
     @cached_property
     def soft(self) -> bool:
-        """Return whether some counts are not whole, as tests and intervals need them."""
+        """Return whether some counts are fractions, which tests and intervals refuse."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 
@@ -339,7 +358,7 @@ def require_policy(problem: object, policy: PolicyLike) -> Array:
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
-def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
+def settle(log: LogT, simulator: FiniteMDP, name: str) -> LogT:
     """Redirect terminated transitions to the simulator's terminal states.
 
     A log that does not fit the simulator is a ValueError that names ``name``.
@@ -379,11 +398,9 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
         log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
-    return (
-        log
-        if np.array_equal(arrival, log.next_state)
-        else replace(log, next_state=arrival)
-    )
+    if np.array_equal(arrival, log.next_state):
+        return log
+    return replace(log, next_state=arrival)
 
 
 def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> Csr:

@@ -56,7 +56,7 @@ def simulator_rewards(
 def with_log_rewards(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> FiniteMDP:
-    """Return the simulator with the log's mean rewards where transitions were recorded."""
+    """Return the simulator with the log's mean rewards of recorded transitions."""
     moves = log.moves()
     matrix = simulator.transitions
     assert moves.reward_sum is not None

@@ -6,7 +6,7 @@ of its own. By the delta method, with G(s, a, s') = dJ / dP(s' | s, a)
 of each pair and m first states::
 
     Var J = sum_(s, a) Var_(s' ~ P(. | s, a)) G(s, a, s') / (n(s, a) - 1) + Var_mu V / m
-            + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of the transition).
+            + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of transition).
 
 The divisor is n - 1, since P is the frequency of these samples. A pair without two
 samples has no variance to show.

@@ -52,8 +52,8 @@ def unnormalised_bound(
     horizon : int, optional
         T, the number of rewards; None means the infinite discounted sum.
     rewards_on_moves : bool, default False
-        Whether rewards are r(s, a, s'), which rest on one transition more: (1 + eta)^{t+1}
-        takes the place of (1 + eta)^t.
+        Whether rewards are r(s, a, s'), which rest on one transition more:
+        (1 + eta)^{t+1} takes the place of (1 + eta)^t.
 
     Returns
     -------
@@ -180,8 +180,8 @@ def normalised_bound(
     horizon : int, optional
         T, the number of rewards; None means the infinite discounted sum.
     rewards_on_moves : bool, default False
-        Whether rewards are r(s, a, s'), which rest on one transition more: (t + 1) eta takes
-        the place of t eta.
+        Whether rewards are r(s, a, s'), which rest on one transition more: (t + 1) eta
+        takes the place of t eta.
 
     Returns
     -------
@@ -325,7 +325,7 @@ def path_kl(
 
     References
     ----------
-    .. [1] A. Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4.
+    .. [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4.
 
     Examples
     --------
@@ -342,7 +342,10 @@ def path_kl(
 
 
 def _accumulate_kl(kernel: Model, pi: Array, steps: int, row_kl: Array) -> Array:
-    """Compute KL_t = KL_{t-1} + <alpha_{t-1}, row_kl> for t = 0..steps, alpha under K."""
+    """Compute the divergence of paths, KL_t = KL_{t-1} + <alpha_{t-1}, row_kl>.
+
+    t is 0..steps, and alpha_t the distribution of state-action pairs under K.
+    """
     result = np.zeros(steps + 1)
     for t, pairs in enumerate(forward_distributions(kernel, pi, steps)):
         reached = pairs.reshape(-1) > 0.0  # 0 * inf is 0 here

@@ -80,7 +80,7 @@ def renyi_divergence(p: RealArrayLike, q: RealArrayLike, order: float) -> float:
 
     References
     ----------
-    .. [1] T. van Erven and P. Harremoes, IEEE Trans. Information Theory 60(7), 2014.
+    .. [1] van Erven and Harremoes, IEEE Trans. Information Theory 60(7), 2014.
 
     Examples
     --------

@@ -111,7 +111,7 @@ def simulation_lemma(
 
     References
     ----------
-    .. [1] M. Kearns and S. Singh, Near-optimal reinforcement learning in polynomial
+    .. [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial
        time, Machine Learning 49, 2002.
 
     Examples
