@@ -84,9 +84,6 @@ class Problem:
         Whether transitions of the log with simulator probability 0 are an error, or are
         left out of ``counts``. Likelihood and guaranteed intervals then let them lead
         anywhere (``inference.asymptotic``).
-    _counts : sparse matrix of shape (S*A, S), optional
-        The same as ``counts``, by the name under which ``dataclasses.replace`` passes
-        them on.
 
     Raises
     ------
@@ -270,7 +267,7 @@ class Problem:
 
     @cached_property
     def soft(self) -> bool:
-        """Return whether some counts are fractions, which tests and intervals refuse."""
+        """Return whether some counts are no whole numbers, which tests need."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 
