@@ -15,7 +15,6 @@ import oee_tabular as oee
 from oee_tabular.continuous.command import continuous_simulator
 from oee_tabular.continuous.rows import calibrated_row
 from oee_tabular.estimators import (
-    Diagnostics,
     Estimate,
     ImportanceSampling,
     Marginalized,
@@ -23,6 +22,7 @@ from oee_tabular.estimators import (
     OffEnvironment,
 )
 from oee_tabular.estimators.calibrated import calibrate
+from oee_tabular.estimators.diagnostics import Diagnostics
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import NAMED, named_estimators
 from oee_tabular.ratio import Conditional, Tied
