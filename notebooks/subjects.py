@@ -39,6 +39,7 @@ SUBJECTS = {
             "Problem",
             "Estimator",
             "Estimate",
+            "Diagnostics",
             "Finding",
         ),
         "From the simulator and the log": (

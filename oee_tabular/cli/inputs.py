@@ -324,11 +324,11 @@ def read_problem(
     recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
     must_refuse: Any = impossible
     if epsilon is not None:
-        is_log = isinstance(recorded, oee.Transitions)
-        model = model.with_support_of(
-            recorded if is_log else recorded.counts(model.n_states, model.n_actions),
-            epsilon,
-        )
+        shape = (model.n_states, model.n_actions)
+        if isinstance(recorded, oee.Transitions):
+            model = model.with_support_of(recorded, epsilon)
+        else:
+            model = model.with_support_of(recorded.counts(*shape), epsilon)
         must_refuse = "refuse"
     more: dict[str, Any] = {"rewards": rewards}
     if behavior is not None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -495,7 +495,10 @@ class OnCells:
         )
 
     def calibrated(
-        self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float
+        self,
+        simulate: Callable[[Array], MonteCarlo],
+        kind: Literal["ratio", "difference"],
+        scale: float,
     ) -> Estimator:
         """Return the estimator of the raw value, calibrated by ``simulate(policy)``.
 
@@ -564,7 +567,11 @@ class OnCells:
 
 
 def calibrated_row(
-    raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float
+    raw: Estimate,
+    outside: MonteCarlo,
+    below: float,
+    kind: Literal["ratio", "difference"],
+    scale: float,
 ) -> Estimate:
     """Return the raw value calibrated by the simulator's value, as a row of its own.
 

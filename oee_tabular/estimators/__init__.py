@@ -60,6 +60,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.base import Estimate as Estimate
     from oee_tabular.estimators.base import Estimator as Estimator
     from oee_tabular.estimators.calibrated import calibrate as calibrate
+    from oee_tabular.estimators.diagnostics import Diagnostics as Diagnostics
     from oee_tabular.estimators.doubly_robust import DoublyRobust as DoublyRobust
     from oee_tabular.estimators.doubly_robust import Magic as Magic
     from oee_tabular.estimators.findings import Finding as Finding
@@ -79,6 +80,7 @@ if TYPE_CHECKING:  # the same for type checkers
 _NAMES = {
     "base": "Estimate Estimator",
     "calibrated": "calibrate",
+    "diagnostics": "Diagnostics",
     "doubly_robust": "DoublyRobust Magic",
     "findings": "Finding",
     "importance_sampling": "ImportanceSampling",

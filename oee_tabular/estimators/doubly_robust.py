@@ -562,7 +562,7 @@ def _model_values(
     else:
         v = values_to_go(model, policy, horizon)[: steps + 1]
         following = v[1:]
-    ahead = (model.transitions @ following.T).T
+    ahead = np.asarray(model.transitions @ following.T).T
     q = model.rewards + model.discount * ahead.reshape(-1, *model.rewards.shape)
     return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(
         q, (steps, *q.shape[1:])

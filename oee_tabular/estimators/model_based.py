@@ -24,7 +24,7 @@ from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.method import Population
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, Csr
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class ModelBased(TabularEstimator):
             states = empty // base.n_actions
             rest = sparse.csr_array((ones, (empty, states)), shape=rows.shape)
         matrix = sparse.csr_array(rows + rest)
-        rewards: object = base.rewards
+        rewards: Array | Csr = base.rewards
         if base.transition_rewards is not None:
             matrix.sort_indices()
             data, defined = align(base.transition_rewards, matrix)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import NormalDist
-from typing import Final, TypedDict
+from typing import Any, Final, TypedDict
 
 import numpy as np
 from scipy import special

@@ -155,7 +155,7 @@ def _error_by_occupancy(
 
     def row_errors(value: Array) -> Array:
         """Compute r' - r_K + g (P' - K) V of each state-action pair, (S, A)."""
-        change: Array = target.transitions @ value - kernel.transitions @ value
+        change = np.asarray(target.transitions @ value - kernel.transitions @ value)
         return reward_error + gamma * change.reshape(reward_error.shape)
 
     if steps is None:

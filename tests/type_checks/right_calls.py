@@ -11,6 +11,17 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.exceptions import ArgumentError, DataWarning, OeeWarning
+from oee_tabular.ratio import (
+    Conditional,
+    Joint,
+    Network,
+    Quotient,
+    Sgd,
+    check_assumptions,
+    density_ratio,
+    gaussian,
+    transition_ratio,
+)
 from oee_tabular.typing import Array, PolicyLike, Seed
 
 # simulators
@@ -134,3 +145,24 @@ tallied = oee.TransitionCounts([0, 1], [0, 0], [1, 1], [30, 12])
 walks = oee.Transitions.from_episodes([[("hall", "go", -1.0), ("dock", True)]])
 wider = small.with_support_of(log, 0.1)
 learned = oee.FiniteMDP.from_log(log, discount=0.9, initial=0)
+
+# ratios and their methods
+keys = np.zeros(4, dtype=np.int64)
+transition_ratio(log, small)
+transition_ratio(
+    log.counts(3, 2), small, method="joint", ratio_upper=2.0, simulator_data="exact"
+)
+transition_ratio(log, small, method=Joint(upper=3.0), seed=0)
+transition_ratio(log, small, tie=keys, strength=2)
+transition_ratio(log, small, tie=lambda s, a, t: a)
+transition_ratio(log, small, toward=None, ridge=lambda n: 1 / n)
+transition_ratio(
+    log, small, ridge="loo", strength="evidence", prior="tilt", features=[[1.0], [2.0]]
+)
+transition_ratio(log, small, values_of=[np.ones((3, 2)) / 2], horizon=4)
+density_ratio([3, 1], [2, 2], solver="SCS", loss="chi2")
+density_ratio([3, 1], np.ones(2), kernel=gaussian(1.0), coordinates=[0, 1])
+check_assumptions([3, 1], [2, 2], lower=0.1, upper=np.inf)
+Conditional(features=lambda s, a, t: t, prior="ridge")
+Network([32, 32], "tanh", inputs=[0.0, 1.0])
+Quotient(solver=Sgd(0.1), functions=None, data="exact", normalized=False)

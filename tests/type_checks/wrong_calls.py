@@ -9,6 +9,18 @@ import pandas as pd
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, TransitionCounts, Transitions
 from oee_tabular.mdp import check_policy, displacements, mix, uniform_policy
+from oee_tabular.ratio import (
+    Conditional,
+    InClass,
+    Joint,
+    Network,
+    Quotient,
+    Sgd,
+    Tied,
+    check_assumptions,
+    density_ratio,
+    transition_ratio,
+)
 
 P = [[[0.9, 0.1], [0.6, 0.4]], [[0.5, 0.5], [0.2, 0.8]]]
 mdp = oee.FiniteMDP(P, [[1.0, 0.8], [0.0, 0.2]], initial=0, discount=0.9)
@@ -30,7 +42,6 @@ oee.evaluate(problem, "expert")  # wrong
 oee.evaluate(mdp, policy)  # wrong
 oee.Problem(mdp, "log.csv")  # wrong
 oee.Problem(log, mdp)  # wrong
-oee.Transitions([0], [0])  # wrong
 oee.Transitions.load(5)  # wrong
 oee.density_ratio("counts", [1.0, 2.0])  # wrong
 
@@ -140,3 +151,37 @@ oee.inference.compare_policies(problem, "x")  # wrong
 oee.inference.compare_policies(problem, [policy, policy], method="robust")  # wrong
 oee.plan_data_collection(problem, 3, n=3)  # wrong
 oee.plan_data_collection(problem, policy, n=3, sampling="fre")  # wrong
+
+# ratios and their methods
+transition_ratio(log, mdp, method="conditionl")  # wrong
+transition_ratio(log, mdp, method=Conditional(), lower=0.5)  # wrong
+transition_ratio(log, mdp, method=Joint(), toward=None)  # wrong
+transition_ratio(log, mdp, lowr=0.5)  # wrong
+transition_ratio(log, mdp, prior="rigde")  # wrong
+transition_ratio(log, mdp, strength="cv")  # wrong
+transition_ratio(log, mdp, ridge="cv")  # wrong
+transition_ratio(log, mdp, simulator_data="most")  # wrong
+transition_ratio(log, mdp, features="log")  # wrong
+transition_ratio(log, mdp, tie=[0.5, 1.0])  # wrong
+transition_ratio(log, mdp, kernel="gauss")  # wrong
+transition_ratio(log, mdp, normalized="yes")  # wrong
+transition_ratio([[1.0, 2.0]], mdp)  # wrong
+transition_ratio(log, mdp, values_of=3)  # wrong
+Conditional(prior="flat")  # wrong
+Conditional(lowr=0.1)  # wrong
+Conditional(solver=Sgd())  # wrong
+Tied(tie="keys")  # wrong
+Tied(strength="loo")  # wrong
+InClass(kernel="gauss")  # wrong
+Quotient(data="most")  # wrong
+Quotient(functions="mlp")  # wrong
+Joint(ridge="loo")  # wrong
+Network(activation="sigmoid")  # wrong
+Network(inputs="onehot")  # wrong
+Network(optimizer="rmsprop")  # wrong
+Sgd("0.1")  # wrong
+density_ratio("ab", [1, 2])  # wrong
+density_ratio([1, 2], [1, 2], loss="l2")  # wrong
+density_ratio([1, 2], [1, 2], solver=3)  # wrong
+density_ratio([1, 2], [1, 2], kernel="gauss", coordinates=[0, 1])  # wrong
+check_assumptions("ab", [2, 2], lower=0.1, upper=1.0)  # wrong
