@@ -67,9 +67,10 @@ def refuse_unknown(
         for each in parameters
         if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)
         and each.name != "self"
+        and not each.name.startswith("_")
     ]
     for keyword in keywords:
-        if keyword not in known:
+        if keyword not in inspect.signature(function).parameters:
             nearest = difflib.get_close_matches(keyword, known, n=1)
             raise UnknownKeywordError(
                 name, keyword, nearest[0] if nearest else None, known

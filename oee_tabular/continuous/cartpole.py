@@ -37,6 +37,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.task import ContinuousTask, Moves
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray, Seed
@@ -60,6 +61,7 @@ EXPERT_SEED = 2346
 EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class CartPole(ContinuousTask):
     """Gymnasium's CartPole under another gravity, with process noise.
@@ -266,6 +268,7 @@ class CartPole(ContinuousTask):
         return {"gravity": self.gravity, "noise": self.noise, "form": self.form}
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class CartPolePolicy:
     """The expert mixed with the uniform policy: delta * uniform + (1 - delta) * expert.
@@ -317,6 +320,7 @@ class CartPolePolicy:
 cartpole_policy = CartPolePolicy
 
 
+@suggest_keywords
 def train_expert(
     *,
     seed: Seed = EXPERT_SEED,

@@ -34,6 +34,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from oee_tabular import _checks, _progress
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import (
     MAX_LAG,
@@ -128,6 +129,7 @@ class ParameterFit:
         return text
 
 
+@suggest_keywords
 @one_thread
 def fit_parameters(
     task_of: Callable[..., ContinuousTask],

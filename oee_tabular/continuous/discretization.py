@@ -54,6 +54,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.cells import (
     Grid,
@@ -83,6 +84,7 @@ DEFAULT_CELLS = 1000  # above
 CLOSURE_TOLERANCE = 0.05  # share of the value: a larger closure error is warned about
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class GridInterpolation:
     """A regular grid over a task's features, on whose vertices the states lie.
@@ -223,6 +225,7 @@ class GridInterpolation:
         return Places(grid, states, actions, averages, points, cell, self.noise_points)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class VisitedCells:
     """Voronoi cells of visited states, each of which is a state of the finite MDP.
@@ -419,6 +422,7 @@ def visited_states(
     return np.concatenate(visited)[:size]
 
 
+@suggest_keywords
 @one_thread
 def discretize(
     task: ContinuousTask,

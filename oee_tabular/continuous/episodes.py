@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     ContinuousTask,
@@ -64,6 +65,7 @@ class MonteCarlo:
     n_episodes: int
 
 
+@suggest_keywords
 def monte_carlo_value(
     task: ContinuousTask,
     policy: StatePolicy,
@@ -189,6 +191,7 @@ def compare_returns(
     return total.reshape(len(tasks), n)
 
 
+@suggest_keywords
 def record(
     task: ContinuousTask,
     policy: StatePolicy,
@@ -324,6 +327,7 @@ def _episodes(
     )
 
 
+@suggest_keywords
 def resimulate(
     task: ContinuousTask, log: ContinuousTransitions, *, seed: Seed = None
 ) -> ContinuousTransitions:

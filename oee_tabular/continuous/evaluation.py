@@ -17,6 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _progress
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.correction import (
     ParameterFit,
@@ -75,6 +76,7 @@ LINEAR = "linear model of the log"
 MAX_POLICY_STATES = 1000
 
 
+@suggest_keywords
 @one_thread
 @_progress.show_steps(only_terminal=True)
 def evaluate_continuous(

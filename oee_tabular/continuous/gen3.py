@@ -25,6 +25,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
@@ -267,6 +268,7 @@ class HandTask(ContinuousTask):
         return before[:, 0]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class KinovaPolicy:
     """The proportional controller mixed with random commands.
@@ -319,6 +321,7 @@ class KinovaPolicy:
 kinova_policy = KinovaPolicy
 
 
+@suggest_keywords
 def record_goals(
     arm: HandTask,
     *,
@@ -376,6 +379,7 @@ def record_goals(
     return ContinuousTransitions.concatenate(parts)
 
 
+@suggest_keywords
 def hand_log(
     log: ContinuousTransitions, *, speed: float | None = None
 ) -> ContinuousTransitions:
@@ -431,6 +435,7 @@ def hand_log(
     return ContinuousTransitions(**columns)
 
 
+@suggest_keywords
 def load_kinova_log(
     path: str | os.PathLike[str], *, speed: float | None = None
 ) -> ContinuousTransitions:

@@ -24,6 +24,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
 from oee_tabular.exceptions import ArgumentError
@@ -102,6 +103,7 @@ CLASSIC: Mapping[str, dict[str, Any]] = {
 }
 
 
+@suggest_keywords
 def gymnasium_simulator(
     spec: str, *, state: str | None = None, actions: RealArrayLike | None = None
 ) -> ContinuousSimulator:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     NO_CHANCE,
@@ -64,6 +65,7 @@ def _is_same(x: Array, y: Array) -> bool:
     return bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
 
 
+@suggest_keywords
 class GymnasiumTask(ContinuousTask):
     """A Gymnasium environment with a settable state as a ContinuousTask.
 

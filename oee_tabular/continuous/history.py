@@ -18,6 +18,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.log import CHAIN_TOLERANCE, ContinuousTransitions
 from oee_tabular.continuous.scatter import Neighbors
 from oee_tabular.continuous.task import (
@@ -50,6 +51,7 @@ MAX_CLIPPED = 8.0  # root mean squares: what rows at contacts count at most
 MIN_STANDARD_ERRORS = 4.0
 
 
+@suggest_keywords
 class HistoryTask(DerivedTask):
     """A task whose state includes its last actions.
 

@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous import gen3
 from oee_tabular.continuous.cells import each_action
@@ -269,6 +270,7 @@ def basis(states: Array) -> Array:
     )
 
 
+@suggest_keywords
 @one_thread
 def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> KinovaHand:
     """Fit D_a and L_a to states of the arm, each stepped under all 27 commands.
@@ -330,6 +332,7 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> Kino
     return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class KinovaArm(gen3.HandTask):
     """The simulated Gen3 that moves its hand to a goal, in place of the real robot.

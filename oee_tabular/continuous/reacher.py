@@ -32,6 +32,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves
@@ -109,6 +110,7 @@ class ReacherOptions(TypedDict, total=False):
     inertia: Literal["box", "capsule"]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Reacher(ContinuousTask):
     """An arm of two links that reaches for a target, with the paper's reward.
@@ -501,6 +503,7 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     return float(np.arctan2(y, x) - turn), q2
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ReacherPolicy:
     """The expert mixed with the uniform policy: delta * uniform + (1 - delta) * expert.
@@ -566,6 +569,7 @@ class ReacherPolicy:
 reacher_policy = ReacherPolicy
 
 
+@suggest_keywords
 def reacher_log(
     task: Reacher, n: int, *, max_steps: int = 150, seed: Seed = None
 ) -> ContinuousTransitions:

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -149,6 +150,7 @@ class Coordinate:
         return self.history.r_squared > MIN_HIDDEN_SHARE and self.history.part > least
 
 
+@suggest_keywords
 class ResidualSimulator(DerivedTask):
     """A task whose step is corrected by the residuals s' - f(s, a) of a log.
 

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cells import Grid
@@ -199,6 +200,7 @@ class Rollouts:
         )
 
 
+@suggest_keywords
 @one_thread
 def corrected_value(
     corrected: ResidualSimulator,

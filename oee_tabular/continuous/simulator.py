@@ -15,6 +15,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.discretization import CellsLike, VisitedCells, discretize
 from oee_tabular.continuous.discretized import (
     Discretization,
@@ -158,6 +159,7 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
     return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ContinuousSimulator:
     """A continuous task with the settings by which logs are evaluated in it.
@@ -391,6 +393,7 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
     return simulator if task.steps_at_once else replace(simulator, **SLOW)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Settings:
     """How a continuous log is evaluated; what is None is the simulator's own.

@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
 from oee_tabular.data.rules import KEY, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
@@ -89,6 +90,7 @@ class Recording(NamedTuple):
 RECORDED_BY_EPISODES = Recording()
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class TransitionCounts:
     """Hold the distinct transitions of a log with their counts, immutable.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Never, Self
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from oee_tabular.data.opening import open_log
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(LogColumns):
     """Hold logged transitions of the target, checked when made and immutable.
@@ -302,6 +304,7 @@ class Transitions(LogColumns):
         return log if simulator is None else log.numbered(simulator, "frame")
 
     @classmethod
+    @suggest_keywords
     def from_episodes(
         cls, episodes: Sequence[Sequence[Any]], *, simulator: FiniteMDP | None = None
     ) -> Self:

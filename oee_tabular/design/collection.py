@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.design.advice import next_pairs
@@ -35,6 +36,7 @@ from oee_tabular.typing import Array, PoliciesLike
 MAX_NEXT_PAIRS = 10  # that a plan lists
 
 
+@suggest_keywords
 @one_thread
 def plan_data_collection(
     problem: Problem | FiniteMDP,

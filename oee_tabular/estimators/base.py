@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_variances
 from oee_tabular.estimators.diagnostics import DiagnosticsField
@@ -36,6 +37,7 @@ from oee_tabular.typing import (
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Estimate:
     """A value of a policy in the target, with its standard error and diagnostics.

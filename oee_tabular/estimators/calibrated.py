@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.exceptions import ArgumentError
@@ -28,6 +29,7 @@ from oee_tabular.exceptions import ArgumentError
 KINDS = ("ratio", "difference")
 
 
+@suggest_keywords
 @one_thread
 def calibrate(
     estimate: Estimate,

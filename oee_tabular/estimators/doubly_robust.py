@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -45,6 +46,7 @@ from oee_tabular.simulate.sampler import Drawn, draw
 from oee_tabular.typing import Array, IntArray
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class DoublyRobust(RatioEstimator):
     """The doubly robust estimator, which is consistent if either of its parts is.
@@ -296,6 +298,7 @@ class DoublyRobust(RatioEstimator):
         return population.value(simulator) + change
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Magic(RatioEstimator):
     """MAGIC: a blend of weighted doubly robust and the model, on the log's episodes.

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.typing import Array
 
 # limits beyond which there is a finding
@@ -24,6 +25,7 @@ MAX_ERROR_BOUND = 1e-6  # a share of the value
 FEW_WEIGHTED = "weights"
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Finding:
     """A warning about a value.

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -134,6 +135,7 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
     return np.asarray(probability)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ImportanceSampling(TabularEstimator):
     """Importance sampling: the log's episodes, weighted by products of policy ratios.

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -44,6 +45,7 @@ RANK_TOLERANCE = 1e-10
 FeaturesLike: TypeAlias = RealArrayLike | Callable[[IntArray, IntArray], RealArrayLike]
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Marginalized(RatioEstimator):
     """Marginalized importance sampling, the paper's follow-up [1]_.

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -27,6 +28,7 @@ from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, Csr
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ModelBased(TabularEstimator):
     """The model-based baseline: the value in the maximum-likelihood model of the log.

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -59,6 +60,7 @@ DETAILS = ("strength", "meaning", "n_keys")
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class OffEnvironment(RatioEstimator):
     """Off-environment evaluation, the default: the value of the corrected simulator.

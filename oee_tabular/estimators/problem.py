@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import TransitionCounts, Transitions, read_log
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.findings import Finding
@@ -46,6 +47,7 @@ LogT = TypeVar("LogT", bound=Transitions | TransitionCounts)
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
     """The input of an estimator: a simulator and a log of the target.

@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -200,6 +201,7 @@ def _few_samples(
     return (findings.Finding("few samples", time, f"{text}.", str(int(is_few.sum()))),)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Oracle(TabularEstimator):
     """The policy's value under the true zeta of a known target.

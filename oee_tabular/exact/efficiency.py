@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import dot, one_thread
 from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
 from oee_tabular.exact.finite import values_to_go
@@ -31,6 +32,7 @@ from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
+@suggest_keywords
 def efficiency_bound(
     target: FiniteMDP,
     policy: PolicyLike,
@@ -156,6 +158,7 @@ def leading_bias(
     return gamma / (1.0 - gamma) * _divide_and_sum(reached * covariance, share)
 
 
+@suggest_keywords
 def ratio_of_ratios_variance(
     simulator: FiniteMDP,
     target: FiniteMDP,
@@ -262,6 +265,7 @@ def ratio_of_ratios_variance(
     return total
 
 
+@suggest_keywords
 def trajectory_efficiency_bound(
     mdp: FiniteMDP,
     behavior_policy: PolicyLike,

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.recursions import (
@@ -61,6 +62,7 @@ def _check_arguments(
     }
 
 
+@suggest_keywords
 def return_moments(
     mdp: FiniteMDP,
     policy: PolicyLike,
@@ -119,6 +121,7 @@ def return_moments(
     return compute_moments(walk_of(mdp, pi), length, **options)
 
 
+@suggest_keywords
 def weighted_return_moments(
     simulator: FiniteMDP,
     zeta: RatioLike,
@@ -197,6 +200,7 @@ def weighted_return_moments(
     return compute_moments(walk_of(simulator, pi, ratio=zeta), length, **options)
 
 
+@suggest_keywords
 def policy_is_moments(
     mdp: FiniteMDP,
     behavior_policy: PolicyLike,
@@ -271,6 +275,7 @@ def policy_is_moments(
     return compute_moments(walk_of(mdp, behavior, policy=pi), length, **options)
 
 
+@suggest_keywords
 def doubly_robust_moments(
     simulator: FiniteMDP,
     zeta: RatioLike,

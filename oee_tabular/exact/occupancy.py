@@ -13,6 +13,7 @@ from typing import Literal, overload
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import gradient_to_horizon, visits
 from oee_tabular.exact.reweighted import Model, require_model
@@ -42,6 +43,7 @@ def occupancy(
 ) -> Csr: ...
 
 
+@suggest_keywords
 def occupancy(
     mdp: Model,
     policy: PolicyLike,
@@ -151,6 +153,7 @@ def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
     return occupancy(model, policy, horizon=horizon)
 
 
+@suggest_keywords
 def transition_gradient(
     model: Model,
     policy: PolicyLike,

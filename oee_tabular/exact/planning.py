@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
@@ -29,6 +30,7 @@ MAX_TURNS = 100  # turns of modified policy iteration
 MAX_TURNS_NARROW = 3
 
 
+@suggest_keywords
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """Compute a deterministic optimal policy.
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, finite, solvers
 from oee_tabular.exact.reweighted import Model, require_model
@@ -65,6 +66,7 @@ class LinearSolution:
     method: str
 
 
+@suggest_keywords
 def solve_policy_system(
     kernel: SparseLike, b: RealArrayLike, discount: float, *, transpose: bool = False
 ) -> LinearSolution:
@@ -210,6 +212,7 @@ def policy_rewards(model: Model, policy: Array) -> Array:
     )
 
 
+@suggest_keywords
 def evaluate_policy(
     model: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> PolicyValues:
@@ -342,6 +345,7 @@ def backup(model: Model, value: Array) -> Array:
     )
 
 
+@suggest_keywords
 def policy_value(
     mdp: Model,
     policy: PolicyLike,
@@ -411,6 +415,7 @@ def policy_value(
     return value if isfinite(value) else float(warn_if_not_finite(value))
 
 
+@suggest_keywords
 def state_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:
@@ -454,6 +459,7 @@ def state_values(
     return finite_values(evaluate_policy(mdp, policy, horizon=horizon))
 
 
+@suggest_keywords
 def action_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import rel_entr
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.robust import anytime_radius, independent_radius
@@ -104,6 +105,7 @@ class RowChanges:
         return [divmod(int(i), self.certain.shape[1]) for i in order if flat[i] > 0]
 
 
+@suggest_keywords
 def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     """Bound from below the change of each pair's distribution from the simulator.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
@@ -332,6 +333,7 @@ class Comparison:
         )
 
 
+@suggest_keywords
 @one_thread
 def compare_policies(
     problem: Problem,
@@ -576,6 +578,7 @@ class Selection:
     absolute_error: float
 
 
+@suggest_keywords
 def selection_measures(
     estimates: RealArrayLike, truths: RealArrayLike, *, k: int = 1
 ) -> Selection:

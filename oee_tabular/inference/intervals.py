@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import policy_value
@@ -177,6 +178,7 @@ class Interval:
         )
 
 
+@suggest_keywords
 @one_thread
 def interval(
     problem: Problem,
@@ -361,6 +363,7 @@ def interval(
     return Interval(lower, upper, level, method, facts, sampling=sampling)
 
 
+@suggest_keywords
 @one_thread
 def value_range(
     simulator: FiniteMDP,

@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, align_to, row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import (
@@ -59,6 +60,7 @@ KIND = "finite_mdp"
 InitialLike: TypeAlias = RealArrayLike | str | tuple[Any, ...] | Mapping[Any, float]
 
 
+@suggest_keywords
 class FiniteMDP:
     """Describe a finite Markov decision process, checked when made and immutable.
 
@@ -555,6 +557,7 @@ class FiniteMDP:
             return cls(**constructor_arguments(stored))
 
     @classmethod
+    @suggest_keywords
     def from_gymnasium(cls, env: Env[Any, Any], discount: float = 0.99) -> Self:
         """Read the MDP of a Gymnasium environment that has a table of its transitions.
 
@@ -598,6 +601,7 @@ class FiniteMDP:
         return cls(**read_table(env), discount=discount)
 
     @classmethod
+    @suggest_keywords
     def from_log(
         cls,
         log: Transitions,
@@ -681,6 +685,7 @@ class FiniteMDP:
         )
 
     @classmethod
+    @suggest_keywords
     def from_env(
         cls,
         env: Env[Any, Any],

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from oee_tabular import _checks, _files
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import require_numbers
 from oee_tabular.mdp.naming import (
@@ -47,6 +48,7 @@ class Sized(Protocol):
         """The state to which a transition leads that terminates on entering a state."""
 
 
+@suggest_keywords
 def check_policy(
     policy: PolicyLike,
     mdp: Sized,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
@@ -211,6 +212,7 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
     return ordered[new], kind
 
 
+@suggest_keywords
 def displacements(
     mdp: FiniteMDP, *, layout: RealArrayLike | None = None
 ) -> tuple[Array, IntArray]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots.style import (
     INK,
@@ -26,6 +27,7 @@ LABEL_SIZE = 8.0  # points, of names at the ends of lines
 SPACE = 1.25  # between two of them, in letters' heights
 
 
+@suggest_keywords
 def plot_curves(
     x: RealArrayLike,
     curves: Mapping[str, RealArrayLike],
@@ -121,6 +123,7 @@ def plot_curves(
     return ax
 
 
+@suggest_keywords
 def plot_errors(
     n: RealArrayLike,
     errors: Mapping[str, RealArrayLike],
@@ -192,6 +195,7 @@ def plot_errors(
     return ax
 
 
+@suggest_keywords
 def plot_variance_growth(
     variances: Mapping[str, RealArrayLike],
     ax: Axes | None = None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -279,6 +280,7 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
 # ---- pictures
 
 
+@suggest_keywords
 def plot_grid(
     values: RealArrayLike,
     shape: tuple[int, int] | Map,
@@ -419,6 +421,7 @@ def _label_axes(ax: Axes, places: Map) -> None:
         axis.set_tick_params(length=0)
 
 
+@suggest_keywords
 def plot_ratio(
     values: RealArrayLike,
     shape: tuple[int, int] | Map,
@@ -481,6 +484,7 @@ def plot_ratio(
     )
 
 
+@suggest_keywords
 def plot_coverage(
     counts: RealArrayLike,
     shape: tuple[int, int] | Map,
@@ -551,6 +555,7 @@ def plot_coverage(
     )
 
 
+@suggest_keywords
 def plot_occupancy(
     time: RealArrayLike,
     shape: tuple[int, int] | Map,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
@@ -171,6 +172,7 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
+@suggest_keywords
 def figure_png(
     draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
 ) -> bytes:
@@ -207,6 +209,7 @@ def figure_png(
     return _save(draw, size, "png", {"Software": None})
 
 
+@suggest_keywords
 def figure_svg(
     draw: Callable[[Axes], object],
     *,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import style
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
@@ -25,6 +26,7 @@ REACH = 15.0
 LETTERS = 11.0  # in an inch of text
 
 
+@suggest_keywords
 def plot_values(
     records: Sequence[Mapping[str, Any]],
     ax: Axes | None = None,
@@ -107,6 +109,7 @@ def plot_values(
     )
 
 
+@suggest_keywords
 def plot_intervals(
     names: Sequence[str],
     values: RealArrayLike,
@@ -351,6 +354,7 @@ def _span(
     return float(points.min()) - margin, float(points.max()) + margin
 
 
+@suggest_keywords
 def plot_states(
     time: RealArrayLike,
     recorded: RealArrayLike,

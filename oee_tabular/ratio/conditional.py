@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.rows import BLOCK, Rows
@@ -48,6 +49,7 @@ RidgeLike: TypeAlias = float | Criterion | Callable[[float], float]
 SMALLEST_WEIGHT = np.finfo(float).tiny
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Conditional(Method):
     """Ratio fitted row by row against the known simulator (the default method).

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import dual, statements
@@ -112,6 +113,7 @@ class RatioFit:
         )
 
 
+@suggest_keywords
 @one_thread
 def density_ratio(
     p: RealArrayLike,

@@ -34,6 +34,7 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.dual import ROUNDING, Box, check_box, check_ridge, coordinate
@@ -44,6 +45,7 @@ from oee_tabular.ratio.statements import JointPoint, JointProgram
 from oee_tabular.typing import PolicyLike
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Joint(Method):
     """Both density ratios in one program, which makes rows of zeta * P sum to 1.

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge
@@ -223,6 +224,7 @@ def _refuse_thin_box(box: Box, normalized: bool) -> None:
         )
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class InClass(Method):
     """Ratio in a linear or kernel class: zeta = 1 + Phi w, all rows sharing w.

@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.rows import Rows
@@ -29,6 +30,7 @@ Activation: TypeAlias = Literal["relu", "tanh", "gelu", "silu", "softplus"]
 Optimizer: TypeAlias = Literal["adam", "sgd"]
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Network:
     """A multilayer perceptron for a ratio, with its training by Algorithm 1.

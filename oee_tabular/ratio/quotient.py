@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.exceptions import ArgumentError
@@ -28,6 +29,7 @@ from oee_tabular.typing import Array, IntArray, PolicyLike
 _DEFAULT_EPISODE_STEPS = 1000
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Quotient(Method):
     """The paper's ratio: two density ratios, fitted separately, and their quotient.

@@ -16,10 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.ratio import dual
 from oee_tabular.typing import Array, IntArray, Seed
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Sgd:
     """Settings of Algorithm 1 on tables.

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -32,6 +33,7 @@ LEAST_PROBABILITY = 1e-300
 LARGEST_COUNT = 2.0**53
 
 
+@suggest_keywords
 def refuse_unsupported(
     moves: SparseLike, simulator: FiniteMDP, *, what: str = "log"
 ) -> None:

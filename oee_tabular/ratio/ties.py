@@ -24,6 +24,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data.frames import is_frame
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -40,6 +41,7 @@ TieLike: TypeAlias = (
 )
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Tied(Method):
     """Ratio from pooled counts: one number for all transitions with the same key.

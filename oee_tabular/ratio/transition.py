@@ -11,6 +11,7 @@ from enum import Enum
 from typing import Any, Literal, TypeAlias, overload
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
@@ -140,6 +141,7 @@ def transition_ratio(
 ) -> TransitionRatio: ...
 
 
+@suggest_keywords
 def transition_ratio(
     log_or_counts: Transitions | SparseLike,
     simulator: FiniteMDP,

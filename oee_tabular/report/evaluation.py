@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks, _progress
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem
 from oee_tabular.estimators.findings import (
@@ -65,6 +66,7 @@ EstimatorsLike: TypeAlias = (
 )
 
 
+@suggest_keywords
 @one_thread
 def evaluate(
     problem: Problem,
@@ -263,6 +265,7 @@ def evaluate(
     )
 
 
+@suggest_keywords
 def contest(
     problem: Problem,
     policies: PoliciesLike,

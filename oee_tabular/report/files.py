@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 
 
+@suggest_keywords
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     """Check that a folder can be made and written, before any work is done.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
@@ -98,6 +99,7 @@ class SampledReturns:
         return float(self.values.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
 
 
+@suggest_keywords
 def sample_returns(
     mdp: FiniteMDP,
     policy: PolicyLike,

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
@@ -27,6 +28,7 @@ DIRECTIONS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])  # of row and column
 BYTES_PER_STATE = 1800.0  # memory while an MDP is made, measured
 
 
+@suggest_keywords
 def gridworld(
     size: int,
     slip: float,
@@ -199,6 +201,7 @@ class Embedded:
     horizon: int = 200
 
 
+@suggest_keywords
 def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
     """Make the default problem: slip 0.3 in the simulator, 0.1 in the target.
 

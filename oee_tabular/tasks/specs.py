@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import arguments, parse_spec
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
@@ -70,6 +71,7 @@ class NamedTask:
     discretization: Discretization | None = None
 
 
+@suggest_keywords
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """Make the task that ``spec`` names.
 

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
@@ -163,6 +164,7 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> Finit
         env.close()
 
 
+@suggest_keywords
 def record_episodes(
     env: Environment,
     policy: PolicyLike,

@@ -21,6 +21,7 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import module_and_path, own_modules, own_object
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
@@ -76,6 +77,7 @@ LAWS: Mapping[str, Law] = {
 }
 
 
+@suggest_keywords
 def check_estimator(
     estimator: object,
     *,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.functions import as_estimator
@@ -162,6 +163,7 @@ class OracleComparison:
         return _printing.text(self, f"Values: {_printing.SUM}; variances in its square")
 
 
+@suggest_keywords
 def compare_with_oracle(
     estimator: Any,
     pair: tuple[FiniteMDP, FiniteMDP],

@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -38,6 +39,7 @@ KINDS = ("episodes", "transitions")
 SUPPORTS = ("equal", "inside", "violated")
 
 
+@suggest_keywords
 def mdps(
     *,
     min_states: int = 1,
@@ -112,6 +114,7 @@ def mdps(
     return draw_mdp()
 
 
+@suggest_keywords
 def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     """(S, A) policies of an MDP.
 
@@ -208,6 +211,7 @@ def mdp_pairs(
     return draw_pair()
 
 
+@suggest_keywords
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
     """Horizons from 1, and None where the infinite sum exists for every policy
     (discount below 1, or all of ``mdps``).
@@ -235,6 +239,7 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     return st.none() | finite if model.discount < 1.0 or ends_anyhow else finite
 
 
+@suggest_keywords
 def logs(
     mdp: FiniteMDP,
     *,

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -61,6 +62,7 @@ CLAIMS: Mapping[str, str] = {
 DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
 
+@suggest_keywords
 def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
     """What an estimator claims: the words that say which laws it owes.
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
@@ -31,6 +32,7 @@ MAX_TERMS = 100_000
 NEGLIGIBLE_DISCOUNT = 1e-12
 
 
+@suggest_keywords
 def unnormalised_bound(
     eta: float,
     reward_bound: float,
@@ -99,6 +101,7 @@ def unnormalised_bound(
         )
 
 
+@suggest_keywords
 def unnormalised_sides(
     target: FiniteMDP,
     model: Model,
@@ -159,6 +162,7 @@ def unnormalised_sides(
     )
 
 
+@suggest_keywords
 def normalised_bound(
     eta: float,
     reward_bound: float,
@@ -227,6 +231,7 @@ def normalised_bound(
     return bound * total
 
 
+@suggest_keywords
 def normalised_sides(
     target: FiniteMDP,
     model: Model,
@@ -280,6 +285,7 @@ def normalised_sides(
     )
 
 
+@suggest_keywords
 def path_kl(
     target: FiniteMDP,
     model: Model,
@@ -419,6 +425,7 @@ def kl_path_bound(
     )
 
 
+@suggest_keywords
 def kl_path_sides(
     target: FiniteMDP,
     model: Model,

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import special
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.dual import check_distributions
 from oee_tabular.typing import Array, RealArrayLike
@@ -267,6 +268,7 @@ class EstimationCounterexample(Sides):
     probability_forced: float
 
 
+@suggest_keywords
 def universal_constant_counterexample(
     n: int, *, mu: float = 10.0, nu: float = 0.1, confidence: float = 0.95
 ) -> EstimationCounterexample:
@@ -428,6 +430,7 @@ def excess_risk(g: RealArrayLike, p: RealArrayLike, q: RealArrayLike) -> Sides:
     return Sides(risks[0] - risks[1], right)
 
 
+@suggest_keywords
 def squared_error_sides(
     g: RealArrayLike, p: RealArrayLike, q: RealArrayLike, *, mu: float | None = None
 ) -> Sides:

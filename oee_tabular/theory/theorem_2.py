@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import (
     ReweightedModel,
@@ -61,6 +62,7 @@ class SimulationLemma:
     by_model_occupancy: float
 
 
+@suggest_keywords
 def simulation_lemma(
     target: FiniteMDP,
     model: Model,
@@ -270,6 +272,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
         )
 
 
+@suggest_keywords
 def ratio_error_bound(
     error: float, mu: float, nu: float, *, tight: bool = False
 ) -> float:
@@ -320,6 +323,7 @@ def ratio_error_bound(
     return factor / square * size
 
 
+@suggest_keywords
 def ratio_error_sides(
     moves: RealArrayLike,
     pairs: RealArrayLike,
@@ -459,6 +463,7 @@ def value_error_bound(
         )
 
 
+@suggest_keywords
 def value_error_sides(
     target: FiniteMDP,
     model: Model,
