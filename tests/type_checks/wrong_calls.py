@@ -40,7 +40,7 @@ oee.policy_value(mdp, policy, horizon=2.5)  # wrong
 oee.evaluate(problem, 3)  # wrong
 oee.evaluate(problem, "expert")  # wrong
 oee.evaluate(mdp, policy)  # wrong
-oee.Problem(mdp, "log.csv")  # wrong
+oee.Problem(mdp, 5)  # wrong
 oee.Problem(log, mdp)  # wrong
 oee.Transitions.load(5)  # wrong
 oee.density_ratio("counts", [1.0, 2.0])  # wrong
