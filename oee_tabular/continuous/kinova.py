@@ -340,7 +340,7 @@ class KinovaArm(gen3.HandTask):
     A state has 27 coordinates: the measured position of the hand (3, m), joint angles
     (7, rad), speeds (7, rad/s) and references (7, rad), and the last command (3). Only
     the position is a feature. The 27 actions are the commands {-1, 0, 1}^3, each for
-    0.2 s, a 1 standing for 0.1 m/s along an axis of the base. The reward of a state is
+    0.2 s, a 1 standing for 0.1 m/s along an axis of the base. The reward of a state is::
 
         r(s) = -|x - goal| in m,
 

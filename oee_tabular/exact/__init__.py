@@ -5,7 +5,7 @@ Values, occupancies, moments, efficiency bounds, gradients and optimal policies.
 Objects (eq. 3.4). P[s, a, s'] is a csr matrix (S*A, S) with row s*A + a, r[s, a] has
 shape (S, A), mu_0 (S,), a policy pi[s, a] (S, A); P_pi = sum_a pi[s, a] P[s, a, .] is
 (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the discount, T the horizon.
-Each formula is followed by the module that computes it.
+Each formula is followed by the module that computes it::
 
     J(pi) = E[sum_t gamma^t r_t] = mu_0 . V                                 (eq. 3.1)
         values
@@ -35,8 +35,8 @@ solve M x = b and M^T x = b with M = I - gamma P_pi (system, solvers), by LAPACK
 iteration, LU in a band, SuperLU or BiCGSTAB. The solvers that suit the graph of P_pi
 are tried one after the other until one is within rounding (``solvers`` has the order).
 
-Guarantees. ``error_bound`` bounds the largest error |V - V*|_inf, for transposed
-systems the sum |x - x*|_1, for the numbers as they are stored:
+Guarantees. ``error_bound`` bounds the largest error ``|V - V*|_inf``, for transposed
+systems the sum ``|x - x*|_1``, for the numbers as they are stored::
 
     |x - x*| <= |M^-1| (|b - M x| + rounding)
     |M^-1|_inf <= max(h) / c    for any h > 0 with M h >= c > 0,

@@ -4,7 +4,7 @@ A horizon T means the rewards at t = 0, ..., T-1; None means the infinite discou
 sum. ``normalized=True`` multiplies by (1 - discount), for both kinds of horizon.
 
 Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the
-error, |x - x*|_inf <= |M^-1|_inf |residual|_inf, rounding included. ``solvers`` says
+error, ``|x - x*|_inf <= |M^-1|_inf |residual|_inf``, rounding included. ``solvers`` says
 which solver is used, and where the norm of the inverse comes from.
 """
 
@@ -45,8 +45,8 @@ class LinearSolution:
     x : ndarray of shape (S,)
         The solution.
     error_bound : float
-        A bound on the largest error |x - x*|_inf, rounding included. For a transposed
-        system it bounds the sum of the errors, |x - x*|_1.
+        A bound on the largest error ``|x - x*|_inf``, rounding included. For a transposed
+        system it bounds the sum of the errors, ``|x - x*|_1``.
     method : str
         The solver: "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse
         LU".
@@ -192,7 +192,7 @@ class PolicyValues:
     value : float
         J = mu_0 . V.
     error_bound : float
-        A bound on the largest error |V - V*|_inf, from the residual of the linear
+        A bound on the largest error ``|V - V*|_inf``, from the residual of the linear
         system. It is 0 for a finite horizon, where the sums are carried out as they
         stand.
     method : str
@@ -235,7 +235,7 @@ def evaluate_policy(
     Returns
     -------
     PolicyValues
-        ``values`` of shape (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and
+        ``values`` of shape (S,), ``value`` (J), ``error_bound`` of ``|V - V*|_inf`` and
         ``method``. V* is the exact solution for the numbers as they are stored:
         transitions, policy and ``rewards`` (S, A), the rounded expectation of r(s, a,
         s').

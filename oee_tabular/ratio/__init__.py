@@ -15,7 +15,7 @@ Objects
 The program (eq. 3.6, 3.7)
 --------------------------
 g is p / q where it maximises a lower bound on KL(p || q), so that with the ridge lambda
-and the constraint of [1]
+and the constraint of [1]::
 
     minimise  sum q g - sum p log g + lambda/2 I(g)^2
     subject to  nu <= g <= mu,  sum q g = 1.
@@ -23,7 +23,7 @@ and the constraint of [1]
 The Lagrangian is separable. With m = 1 + the multiplier of the sum, each cell has a
 closed form g_x(m), and sum q g(m) = 1 is one bracketed root. At any g and m the
 duality gap is the sum of the differences of each cell from the Lagrangian's least
-value:
+value::
 
     gap = sum_x [h_x(g_x) - min h_x] + |m - 1| |sum q g - 1|,
     h_x(g) = m q g - p log g + lambda/2 g^2,
