@@ -7,7 +7,9 @@ package answers with exact linear algebra and certified convex programs.
 >>> import oee_tabular as oee
 >>> simulator = oee.tasks.gridworld(4, slip=0.3)
 >>> target = oee.tasks.gridworld(4, slip=0.1)
->>> log = oee.sample_episodes(target, oee.uniform_policy(target), 50, horizon=50, seed=0)
+>>> log = oee.sample_episodes(
+...     target, oee.uniform_policy(target), 50, horizon=50, seed=0
+... )
 >>> problem = oee.Problem(simulator, log, horizon=50)
 >>> expert = oee.tasks.gridworld_expert(4)
 >>> round(oee.estimators.OffEnvironment()(problem, expert).value, 1)

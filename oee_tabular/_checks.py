@@ -124,7 +124,8 @@ def float_array(
     Raises
     ------
     ArgumentError
-        If the value holds text, dates or complex numbers, has rows of different lengths, or
+        If the value holds text, dates or complex numbers, has rows of different
+        lengths, or
         another number of dimensions.
     """
     given: Any = as_array(value, name, "an array of numbers")
@@ -205,7 +206,7 @@ def _require(
 
 
 def scale_if_single(array: Array, given: object) -> Array:
-    """Scale rows that were given in single precision to sum to 1 where they nearly do."""
+    """Scale single-precision rows to sum to 1 where they nearly do."""
     if getattr(given, "dtype", None) != np.float32:
         return array
     sums = array.sum(axis=-1, keepdims=True)
@@ -342,7 +343,8 @@ def require_memory(
 ) -> None:
     """Require ``count`` numbers of ``size`` bytes to fit into memory.
 
-    This is asked before they are allocated, since a system may grant memory that it does
+    This is asked before they are allocated, since a system may grant memory that it
+    does
     not have. Where the ``value`` of an argument asks for them, the error is an
     ArgumentError; else (for a file that is read) it is a MemoryError.
     """

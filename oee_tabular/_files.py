@@ -113,7 +113,8 @@ def whole_file(
 ) -> Iterator[IO[bytes]]:
     """Open a binary file that appears under its name only once it is complete.
 
-    The bytes go to a temporary file in the same folder, are flushed to disk and moved to
+    The bytes go to a temporary file in the same folder, are flushed to disk and moved
+    to
     ``path`` in one step. An error on the way leaves the old file in place, and names
     ``path``. A link stays a link: the file that it leads to is replaced.
     """
@@ -215,7 +216,8 @@ def save_npz(
 ) -> None:
     """Write an npz of plain arrays with their kind of object and their digest.
 
-    A zip file protects the contents of its members, but not their names: a damaged file may
+    A zip file protects the contents of its members, but not their names: a damaged file
+    may
     lack some of them, which the digest shows. Arrays of objects are an ArgumentError.
     """
     for name, array in arrays.items():

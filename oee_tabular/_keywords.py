@@ -58,7 +58,7 @@ def _wrap(function: Callable[P, T], name: str) -> Callable[P, T]:
 def refuse_unknown(
     function: Callable[..., object], name: str, keywords: Iterable[str]
 ) -> None:
-    """Raise an ``UnknownKeywordError`` for a keyword that the function does not have."""
+    """Raise an ``UnknownKeywordError`` for a keyword that the function lacks."""
     parameters = inspect.signature(function).parameters.values()
     if any(each.kind is each.VAR_KEYWORD for each in parameters):
         return

@@ -191,7 +191,8 @@ def end_with_parent(parent: int, *, with_group: bool = False) -> None:
 def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
     """Make a ``joblib.Parallel`` for this many calls, in at most as many processes.
 
-    With ``jobs`` -1 there is one process for each core. A single call is made in a process
+    With ``jobs`` -1 there is one process for each core. A single call is made in a
+    process
     of its own too, unless ``jobs`` is 1, because the call may end its process.
     """
     import joblib
@@ -227,7 +228,8 @@ def each(
 def time_limit(seconds: float) -> Iterator[None]:
     """Raise a TimeoutError inside after this many seconds.
 
-    There is no limit on Windows, which has no alarm, and outside of the main thread of a
+    There is no limit on Windows, which has no alarm, and outside of the main thread of
+    a
     process.
     """
     if (

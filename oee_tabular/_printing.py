@@ -62,7 +62,8 @@ def table(
 ) -> str:
     """Write an HTML table with sentences below it.
 
-    The first ``text_columns`` are aligned to the left, the others (numbers) to the right.
+    The first ``text_columns`` are aligned to the left, the others (numbers) to the
+    right.
     """
 
     def line(cells: Sequence[object], tag: str) -> str:

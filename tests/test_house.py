@@ -44,7 +44,9 @@ def graph_of(by_name=True):
 
 
 def rooms_of(graph):
-    """The same between packages, and files beside them; errors and types stand below all floors."""
+    """The same between packages, and files beside them; errors and types stand below
+    all floors.
+    """
 
     def room(name):
         return ".".join(name.split(".")[:2])

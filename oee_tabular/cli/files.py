@@ -1,4 +1,4 @@
-"""Commands of files: record a log, count it, write a policy or a simulator, describe."""
+"""Commands of files: record and count logs, write policies and simulators."""
 
 from __future__ import annotations
 
@@ -364,7 +364,8 @@ def info(
 
 
 def describe_files(files: list[str]) -> tuple[str, str]:
-    """Return what kind of thing a file, a data set or the files of a log hold, in words.
+    """Return what kind of thing a file, a data set or the files of a log hold, in
+    words.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str,
 
 
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
-    """Read the policy that ``spec`` names, as an (S, A) array; errors begin with name."""
+    """Read the policy that ``spec`` names, as an (S, A) array."""
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp import check_policy
     from oee_tabular.mdp.policies import read_policy_array

@@ -445,7 +445,7 @@ def _evaluate_finite(
 def _write_report(
     report: Report, folder: Path | None, page: Path | None, title: str | None
 ) -> list[str]:
-    """Write the report's files; return their names, and which of them replace others."""
+    """Write the report's files; return their names, and those that replace others."""
     old: list[Path] = []
     new: list[Path] = []
     if folder is not None:

@@ -92,7 +92,9 @@ class CartPole(ContinuousTask):
     Examples
     --------
     >>> task = CartPole(gravity=9.8, noise=0.0)
-    >>> task.moves(np.array([[0.0, 0.0, 0.2, 1.0]]), np.array([1]), np.zeros((1, 4))).terminated.tolist()
+    >>> task.moves(
+    ...     np.array([[0.0, 0.0, 0.2, 1.0]]), np.array([1]), np.zeros((1, 4))
+    ... ).terminated.tolist()
     [True]
     """
 

@@ -93,7 +93,13 @@ class ParameterFit:
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole
-    >>> fit = ParameterFit(CartPole(15.0), {"gravity": 15.0}, {"gravity": 0.004}, np.zeros((300, 4)), {"gravity": 10.0})
+    >>> fit = ParameterFit(
+    ...     CartPole(15.0),
+    ...     {"gravity": 15.0},
+    ...     {"gravity": 0.004},
+    ...     np.zeros((300, 4)),
+    ...     {"gravity": 10.0},
+    ... )
     >>> fit.describe()
     'Least squares gives gravity 15 (standard error 0.004; the simulator has 10).'
     """
@@ -174,7 +180,13 @@ def fit_parameters(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=300, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=300,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> fit = fit_parameters(lambda gravity: CartPole(gravity), {"gravity": 10.0}, log)
     >>> abs(fit.parameters["gravity"] - 15.0) < 4 * fit.standard_error["gravity"] < 0.1
     True

@@ -262,7 +262,12 @@ class VisitedCells:
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, discretize
-    >>> model = discretize(CartPole(form="full"), cells=VisitedCells(200), policies=[cartpole_policy(0.3)], closure_episodes=0)
+    >>> model = discretize(
+    ...     CartPole(form="full"),
+    ...     cells=VisitedCells(200),
+    ...     policies=[cartpole_policy(0.3)],
+    ...     closure_episodes=0,
+    ... )
     >>> model.mdp.n_states
     201
     """
@@ -404,7 +409,13 @@ def visited_states(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
-    >>> visited_states([CartPole(5.0), CartPole(20.0)], [cartpole_policy(0.3)], 1000, max_steps=100, seed=0).shape
+    >>> visited_states(
+    ...     [CartPole(5.0), CartPole(20.0)],
+    ...     [cartpole_policy(0.3)],
+    ...     1000,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... ).shape
     (1000, 4)
     """
     size = _checks.positive_integer(n, "n")
@@ -501,7 +512,13 @@ def discretize(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=2000,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> model = discretize(CartPole(10.0), log, cells=(32, 32), floor=0.001)
     >>> model.mdp
     FiniteMDP(1025 states, 2 actions, 12337 transitions, rewards r(s, a), discount 0.99)

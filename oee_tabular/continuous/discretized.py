@@ -67,9 +67,19 @@ class Discretization:
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, discretize, record
     >>> model = discretize(CartPole(10.0), cells=(32, 32), closure_episodes=0)
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=500, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=500,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> encoded = model.encode(log, seed=0)
-    >>> len(encoded), model.policy(cartpole_policy(0.3)).shape, round(float(model.counts(log).sum()), 6)
+    >>> (
+    ...     len(encoded),
+    ...     model.policy(cartpole_policy(0.3)).shape,
+    ...     round(float(model.counts(log).sum()), 6),
+    ... )
     (500, (1025, 2), 500.0)
     """
 

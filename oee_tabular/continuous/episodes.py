@@ -55,7 +55,10 @@ class MonteCarlo:
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
     >>> found = monte_carlo_value(CartPole(), cartpole_policy(1.0), 400, 100, seed=0)
-    >>> round(found.deviation / 20, 6) == round(found.standard_error, 6), found.n_episodes
+    >>> (
+    ...     round(found.deviation / 20, 6) == round(found.standard_error, 6),
+    ...     found.n_episodes,
+    ... )
     (True, 400)
     """
 
@@ -118,7 +121,9 @@ def monte_carlo_value(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
-    >>> expert = monte_carlo_value(CartPole(), cartpole_policy(0.0), 2000, 100, seed=0, normalized=True)
+    >>> expert = monte_carlo_value(
+    ...     CartPole(), cartpole_policy(0.0), 2000, 100, seed=0, normalized=True
+    ... )
     >>> 0.62 < expert.value < 0.635  # the paper's figure has .63 here; 1 - .99^100 = .634 is the most there is
     True
     """
@@ -238,7 +243,13 @@ def record(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=500, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=500,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> len(log), log.n_state, bool(log.truncated[-1] or log.terminated[-1])
     (500, 4, True)
     """
@@ -355,9 +366,14 @@ def resimulate(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_episodes=2, max_steps=50, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0), cartpole_policy(0.3), n_episodes=2, max_steps=50, seed=0
+    ... )
     >>> pair = resimulate(CartPole(10.0), log, seed=0)
-    >>> bool((pair.state == log.state).all()), bool((pair.next_state == log.next_state).all())
+    >>> (
+    ...     bool((pair.state == log.state).all()),
+    ...     bool((pair.next_state == log.next_state).all()),
+    ... )
     (True, False)
     """
     _checks.instance(task, ContinuousTask, "task")

@@ -195,10 +195,19 @@ def evaluate_continuous(
     Examples
     --------
     >>> from oee_tabular.continuous.command import continuous_simulator
-    >>> simulator, target = (continuous_simulator(f"cartpole:gravity={g}") for g in (10, 15))
+    >>> simulator, target = (
+    ...     continuous_simulator(f"cartpole:gravity={g}") for g in (10, 15)
+    ... )
     >>> log = target.record(target.policy("mix:0.7"), n_transitions=2000, seed=0)
     >>> few = Settings(episodes=2000)
-    >>> report = evaluate_continuous(simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"])
+    >>> report = evaluate_continuous(
+    ...     simulator,
+    ...     log,
+    ...     {"expert": simulator.expert},
+    ...     settings=few,
+    ...     seed=0,
+    ...     estimators=["oee"],
+    ... )
     >>> [row["estimator"] for row in report.records()]
     ['oee (residual)', 'simulator (continuous)']
     """

@@ -293,7 +293,8 @@ class KinovaPolicy:
 
     Examples
     --------
-    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
+    >>> # from home: forward along x, y and z
+    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()
     [1.0, 1.0, 1.0]
     >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
     0.74
@@ -359,7 +360,8 @@ def record_goals(
     Examples
     --------
     >>> from oee_tabular.continuous.kinova import ideal_hand
-    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
+    >>> # no arm, only commands that move it too far
+    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)
     >>> len(log), log.n_state, int(log.truncated.sum())
     (125, 3, 5)
     """
@@ -466,7 +468,9 @@ def load_kinova_log(
     Examples
     --------
     >>> import tempfile
-    >>> log = ContinuousTransitions([[0.4, 0.0, 0.4]], [[1.0, 0.0, 0.0]], [[0.43, 0.0, 0.4]], episode=[0])
+    >>> log = ContinuousTransitions(
+    ...     [[0.4, 0.0, 0.4]], [[1.0, 0.0, 0.0]], [[0.43, 0.0, 0.4]], episode=[0]
+    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log.save(folder + "/arm.csv")
     ...     load_kinova_log(folder + "/arm.csv")

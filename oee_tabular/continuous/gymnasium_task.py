@@ -138,7 +138,9 @@ class GymnasiumTask(ContinuousTask):
     ...     lambda: gymnasium.make("Pendulum-v1"),
     ...     state_names=("angle", "speed"),
     ...     actions=[[-2.0], [0.0], [2.0]],
-    ...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
+    ...     low=[-np.pi, -8.0],
+    ...     high=[np.pi, 8.0],
+    ...     periodic=(True, False),
     ...     terminates=False,
     ... )
     >>> from oee_tabular.tasks import discretize

@@ -84,7 +84,11 @@ class HistoryTask(DerivedTask):
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
     >>> task = HistoryTask(CartPole(), 2)
-    >>> log = task.log(record(CartPole(), cartpole_policy(1.0), n_transitions=50, max_steps=20, seed=0))
+    >>> log = task.log(
+    ...     record(
+    ...         CartPole(), cartpole_policy(1.0), n_transitions=50, max_steps=20, seed=0
+    ...     )
+    ... )
     >>> log.state[:3, 4:].tolist(), log.action[:2].tolist()
     ([[0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 1.0]], [1, 0])
     """

@@ -133,7 +133,12 @@ class KinovaHand(gen3.HandTask):
     Examples
     --------
     >>> hand = ideal_hand(1.4, scatter=0.0)
-    >>> shift = hand.moves(gen3.CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - gen3.CENTER
+    >>> shift = (
+    ...     hand.moves(gen3.CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[
+    ...         0
+    ...     ]
+    ...     - gen3.CENTER
+    ... )
     >>> (shift / gen3.STEP).round(3).tolist()
     [1.4, 1.4, 1.4]
     """
@@ -302,7 +307,10 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> Kino
     Examples
     --------
     >>> found = fit_hand(ideal_hand(1.4, scatter=0.0), n_states=100)
-    >>> (found.coefficients[26, 0] / gen3.STEP).round(3).tolist(), found.coefficients.shape
+    >>> (
+    ...     (found.coefficients[26, 0] / gen3.STEP).round(3).tolist(),
+    ...     found.coefficients.shape,
+    ... )
     ([1.4, 1.4, 1.4], (27, 10, 3))
     """
     wanted = _checks.positive_integer(n_states, "n_states")
@@ -340,7 +348,8 @@ class KinovaArm(gen3.HandTask):
     A state has 27 coordinates: the measured position of the hand (3, m), joint angles
     (7, rad), speeds (7, rad/s) and references (7, rad), and the last command (3). Only
     the position is a feature. The 27 actions are the commands {-1, 0, 1}^3, each for
-    0.2 s, a 1 standing for 0.1 m/s along an axis of the base. The reward of a state is::
+    0.2 s, a 1 standing for 0.1 m/s along an axis of the base. The reward of a state
+    is::
 
         r(s) = -|x - goal| in m,
 

@@ -201,7 +201,9 @@ class ContinuousTransitions(LogColumns):
 
     Examples
     --------
-    >>> ContinuousTransitions([[0.0, 0.1], [0.2, 0.3]], [0, 1], [[0.2, 0.3], [0.4, 0.1]], episode=[0, 0])
+    >>> ContinuousTransitions(
+    ...     [[0.0, 0.1], [0.2, 0.3]], [0, 1], [[0.2, 0.3], [0.4, 0.1]], episode=[0, 0]
+    ... )
     ContinuousTransitions(2 transitions of 2-dimensional states in 1 episodes: 0 terminated, 1 truncated;
                           actions 0..1)
     """

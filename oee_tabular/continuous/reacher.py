@@ -166,7 +166,9 @@ class Reacher(ContinuousTask):
     Examples
     --------
     >>> task = Reacher(0.1)
-    >>> task.moves(np.zeros((1, 4)), np.array([4]), np.zeros((1, 0))).next_state.tolist()
+    >>> task.moves(
+    ...     np.zeros((1, 4)), np.array([4]), np.zeros((1, 0))
+    ... ).next_state.tolist()
     [[0.0, 0.0, 0.0, 0.0]]
     >>> Reacher.tamed(0.05).substeps
     4

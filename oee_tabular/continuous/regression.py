@@ -531,7 +531,13 @@ class LinearModel(DerivedTask):
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=2000,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> model = LinearModel(CartPole(10.0), log)
     >>> model.residuals.shape, bool(np.abs(model.residuals).max() < 0.02)
     ((2000, 4), True)

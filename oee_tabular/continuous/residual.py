@@ -209,14 +209,28 @@ class ResidualSimulator(DerivedTask):
 
     Examples
     --------
-    >>> from oee_tabular.tasks import CartPole, cartpole_policy, monte_carlo_value, record
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=0)
+    >>> from oee_tabular.tasks import (
+    ...     CartPole,
+    ...     cartpole_policy,
+    ...     monte_carlo_value,
+    ...     record,
+    ... )
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=3000,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> corrected = ResidualSimulator(CartPole(10.0), log, seed=0)
     >>> [(c.name, c.kind, c.scatter) for c in corrected.coordinates][2]
     ('theta', 'zero', 'simulator')
     >>> truth, found, before = (
-    ...     monte_carlo_value(task, cartpole_policy(0.6), 4000, 100, seed=0, normalized=True).value
-    ...     for task in (CartPole(15.0), corrected, CartPole(10.0)))
+    ...     monte_carlo_value(
+    ...         task, cartpole_policy(0.6), 4000, 100, seed=0, normalized=True
+    ...     ).value
+    ...     for task in (CartPole(15.0), corrected, CartPole(10.0))
+    ... )
     >>> abs(found - truth) < 0.2 * abs(before - truth)
     True
     """

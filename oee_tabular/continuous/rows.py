@@ -265,9 +265,17 @@ def corrected_value(
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
-    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> log = record(
+    ...     CartPole(15.0),
+    ...     cartpole_policy(0.3),
+    ...     n_transitions=2000,
+    ...     max_steps=100,
+    ...     seed=0,
+    ... )
     >>> corrected = ResidualSimulator(CartPole(10.0), log, seed=0)
-    >>> found = corrected_value(corrected, cartpole_policy(0.6), 1000, 100, refits=5, paths=200, seed=0)
+    >>> found = corrected_value(
+    ...     corrected, cartpole_policy(0.6), 1000, 100, refits=5, paths=200, seed=0
+    ... )
     >>> found.status, bool(found.interval[0] < found.value < found.interval[1])
     ('ok', True)
     """

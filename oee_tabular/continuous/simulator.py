@@ -60,10 +60,13 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
 
     Examples
     --------
-    >>> brake = as_probabilities(lambda states: -states, np.array([[-1.0], [0.0], [1.0]]))
+    >>> brake = as_probabilities(
+    ...     lambda states: -states, np.array([[-1.0], [0.0], [1.0]])
+    ... )
     >>> brake(np.array([[0.25], [4.0]])).tolist()
     [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
-    >>> brake.rounding(np.array([[0.5], [4.0]]))  # -0.5 becomes -1 or 0, and -4 is cut to -1: sqrt(0.5^2 / 2)
+    >>> # -0.5 becomes -1 or 0, and -4 is cut to -1: sqrt(0.5^2 / 2)
+    >>> brake.rounding(np.array([[0.5], [4.0]]))
     (0.3535533905932738, 0.5)
     """
     _checks.function(policy, "policy")
@@ -201,7 +204,11 @@ class ContinuousSimulator:
     --------
     >>> from oee_tabular.continuous.command import continuous_simulator
     >>> simulator = continuous_simulator("cartpole:gravity=10")
-    >>> simulator.task.gravity, simulator.horizon, simulator.policy("mix:0.5")(np.zeros((1, 4))).round(2).tolist()
+    >>> (
+    ...     simulator.task.gravity,
+    ...     simulator.horizon,
+    ...     simulator.policy("mix:0.5")(np.zeros((1, 4))).round(2).tolist(),
+    ... )
     (10, 100, [[0.52, 0.48]])
     """
 

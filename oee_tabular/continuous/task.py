@@ -110,11 +110,24 @@ class ContinuousTask(ABC):
     >>> from oee_tabular.tasks import discretize
     >>> class Point(ContinuousTask):
     ...     name, state_names, feature_names = "Point", ("s",), ("s",)
-    ...     actions, n_disturbances, periodic, terminates = np.array([-0.25, 0.25]), 1, (False,), False
+    ...     actions, n_disturbances, periodic, terminates = (
+    ...         np.array([-0.25, 0.25]),
+    ...         1,
+    ...         (False,),
+    ...         False,
+    ...     )
     ...     feature_low, feature_high = np.array([-1.0]), np.array([1.0])
+    ...
     ...     def moves(self, states, actions, disturbance):
-    ...         following = np.clip(states + self.actions[actions][:, None] + 0.01 * disturbance, -1.0, 1.0)
-    ...         return Moves(following, -np.abs(states[:, 0]), np.zeros(len(states), dtype=bool))
+    ...         following = np.clip(
+    ...             states + self.actions[actions][:, None] + 0.01 * disturbance,
+    ...             -1.0,
+    ...             1.0,
+    ...         )
+    ...         return Moves(
+    ...             following, -np.abs(states[:, 0]), np.zeros(len(states), dtype=bool)
+    ...         )
+    ...
     ...     def initial_states(self, n, rng):
     ...         return rng.uniform(-0.1, 0.1, (n, 1))
     >>> discretize(Point(), cells=(9,)).mdp
@@ -529,7 +542,12 @@ class Chance:
     IndexError.
 
     >>> chance = Chance(np.array([0.0, 1.0, 0.0]))
-    >>> float(chance.uniform(-1.0, 1.0)), float(chance.normal(2.0, 0.5)), chance.integers(5), chance.used
+    >>> (
+    ...     float(chance.uniform(-1.0, 1.0)),
+    ...     float(chance.normal(2.0, 0.5)),
+    ...     chance.integers(5),
+    ...     chance.used,
+    ... )
     (0.0, 2.5, 2, 3)
     """
 

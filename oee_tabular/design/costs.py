@@ -172,8 +172,13 @@ def largest_variances(indptr, rows, values, low, high):
     The largest variance of v in {0, 1}, with any mass on the 1, with a mass of at most
     0.1, and with one in [0.6, 0.7]:
 
-    >>> bounds = np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2]), np.array([1.0, 1.0, 1.0, 0.1, 0.4, 0.7])
-    >>> largest_variances(np.array([0, 2, 4, 6]), np.arange(3), np.array([0.0, 1.0] * 3), *bounds).round(9)
+    >>> bounds = (
+    ...     np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2]),
+    ...     np.array([1.0, 1.0, 1.0, 0.1, 0.4, 0.7]),
+    ... )
+    >>> largest_variances(
+    ...     np.array([0, 2, 4, 6]), np.arange(3), np.array([0.0, 1.0] * 3), *bounds
+    ... ).round(9)
     array([0.25, 0.09, 0.24])
     """
     result = np.empty(len(rows))

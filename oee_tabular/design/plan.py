@@ -52,7 +52,11 @@ class Outlook:
     >>> pair = oee.testing.case("ragged")
     >>> plan = oee.plan_data_collection(pair.problem(1000, seed=0), pair.policy, n=1000)
     >>> now, after = plan.policies[0].standard_error
-    >>> round(now, 3), round(after, 3), round(plan.after(4000)["policy"].standard_error[1], 3)
+    >>> (
+    ...     round(now, 3),
+    ...     round(after, 3),
+    ...     round(plan.after(4000)["policy"].standard_error[1], 3),
+    ... )
     (0.169, 0.142, 0.112)
     """
 

@@ -63,7 +63,10 @@ def fill(cost: Array, base: Array) -> Array:
     b + q = max(b, t sqrt(c)); with b = 0 it is Neyman's allocation q ~ sqrt(c), value
     (sum sqrt c)^2. Cost: O(rows log rows).
 
-    >>> fill(np.array([1.0, 4.0]), np.zeros(2)), fill(np.array([1.0, 4.0]), np.array([1.0, 0.0]))
+    >>> (
+    ...     fill(np.array([1.0, 4.0]), np.zeros(2)),
+    ...     fill(np.array([1.0, 4.0]), np.array([1.0, 0.0])),
+    ... )
     (array([0.33333333, 0.66666667]), array([0., 1.]))
     """
     root = np.sqrt(cost)

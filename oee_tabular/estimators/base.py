@@ -171,8 +171,14 @@ class Estimator(Protocol):
 
     >>> import oee_tabular as oee
     >>> def model(problem, policy, *, seed=None):
-    ...     ratio = oee.transition_ratio(problem.log, problem.simulator, prior="simulator")
-    ...     return Estimate(oee.policy_value(ratio.target_model(problem.model), policy, horizon=problem.horizon))
+    ...     ratio = oee.transition_ratio(
+    ...         problem.log, problem.simulator, prior="simulator"
+    ...     )
+    ...     return Estimate(
+    ...         oee.policy_value(
+    ...             ratio.target_model(problem.model), policy, horizon=problem.horizon
+    ...         )
+    ...     )
     >>> oee.testing.check_estimator(model, laws=["scale"])["scale"].outcome
     'holds'
     """

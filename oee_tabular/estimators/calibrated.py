@@ -71,7 +71,9 @@ def calibrate(
 
     Examples
     --------
-    >>> calibrate(Estimate(0.45), discretised=0.50, continuous=0.51).diagnostics["calibration"]
+    >>> calibrate(Estimate(0.45), discretised=0.50, continuous=0.51).diagnostics[
+    ...     "calibration"
+    ... ]
     'ratio: times 0.51 / 0.5 (simulator: continuous / discretised)'
     """
     _checks.instance(estimate, Estimate, "estimate")

@@ -106,7 +106,11 @@ class DoublyRobust(RatioEstimator):
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = DoublyRobust()(pair.problem(1000, seed=0), pair.policy)
-    >>> round(estimate.diagnostics["simulator_value"], 1), round(estimate.value, 1), round(estimate.standard_error, 1)
+    >>> (
+    ...     round(estimate.diagnostics["simulator_value"], 1),
+    ...     round(estimate.value, 1),
+    ...     round(estimate.standard_error, 1),
+    ... )
     (8.0, 10.2, 0.2)
     """
 

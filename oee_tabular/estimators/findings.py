@@ -53,7 +53,11 @@ class Finding:
 
     Examples
     --------
-    >>> str(Finding("units", 2.0, "the log's rewards are {} times the simulator's.", "2"))
+    >>> str(
+    ...     Finding(
+    ...         "units", 2.0, "the log's rewards are {} times the simulator's.", "2"
+    ...     )
+    ... )
     "the log's rewards are 2 times the simulator's."
     """
 

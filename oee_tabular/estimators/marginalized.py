@@ -401,7 +401,9 @@ class DualDice(TabularEstimator):
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged infinite")
     >>> problem, same = pair.problem(1000, seed=0), ModelBased(fallback="simulator")
-    >>> abs(DualDice()(problem, pair.policy).value - same(problem, pair.policy).value) < 1e-9
+    >>> abs(
+    ...     DualDice()(problem, pair.policy).value - same(problem, pair.policy).value
+    ... ) < 1e-9
     True
     """
 

@@ -61,7 +61,12 @@ class ModelBased(TabularEstimator):
     >>> estimate = ModelBased()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.value, 2), round(estimate.standard_error, 2)
     (10.2, 0.17)
-    >>> round(ModelBased().limit(pair.simulator, pair.target, pair.policy, horizon=pair.horizon), 2)
+    >>> round(
+    ...     ModelBased().limit(
+    ...         pair.simulator, pair.target, pair.policy, horizon=pair.horizon
+    ...     ),
+    ...     2,
+    ... )
     10.07
     """
 

@@ -134,7 +134,11 @@ class OffEnvironment(RatioEstimator):
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = OffEnvironment()(pair.problem(1000, seed=0), pair.policy)
-    >>> round(estimate.value, 2), round(estimate.standard_error, 2), round(estimate.diagnostics["one_step_value"], 2)
+    >>> (
+    ...     round(estimate.value, 2),
+    ...     round(estimate.standard_error, 2),
+    ...     round(estimate.diagnostics["one_step_value"], 2),
+    ... )
     (10.18, 0.17, 10.2)
     """
 

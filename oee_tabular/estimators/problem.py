@@ -108,8 +108,13 @@ class Problem:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
-    >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
+    >>> simulator, target = (
+    ...     oee.tasks.gridworld(3, slip=0.3),
+    ...     oee.tasks.gridworld(3, slip=0.1),
+    ... )
+    >>> log = oee.sample_episodes(
+    ...     target, oee.uniform_policy(target), 20, horizon=30, seed=0
+    ... )
     >>> problem = Problem(simulator, log, horizon=30)
     >>> int(problem.counts.sum()) == len(log), problem.reward_conflict is None
     (True, True)

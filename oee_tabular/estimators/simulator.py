@@ -238,7 +238,9 @@ class Oracle(TabularEstimator):
     >>> problem = pair.problem(1000, seed=0)
     >>> round(Oracle(pair.target)(problem, pair.policy).value, 2)
     10.07
-    >>> sampled = Oracle(pair.target, evaluation="monte_carlo", n_rollouts=1000)(problem, pair.policy, seed=0)
+    >>> sampled = Oracle(pair.target, evaluation="monte_carlo", n_rollouts=1000)(
+    ...     problem, pair.policy, seed=0
+    ... )
     >>> abs(sampled.value - pair.truth) < 4 * sampled.standard_error
     True
     """

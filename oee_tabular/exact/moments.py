@@ -258,7 +258,8 @@ def policy_is_moments(
     Examples
     --------
     >>> bandit = FiniteMDP([[[1.0], [1.0]]], [[0.0, 1.0]], [1.0], 0.5)
-    >>> policy_is_moments(bandit, [[0.5, 0.5]], [[0.0, 1.0]], horizon=1)  # 0 or 2, evenly
+    >>> # 0 or 2, evenly
+    >>> policy_is_moments(bandit, [[0.5, 0.5]], [[0.0, 1.0]], horizon=1)
     Moments(mean=1.0, variance=1.0, bias=0.0)
     """
     flags = {"self_normalized": self_normalized, "sources": sources}

@@ -4,7 +4,8 @@ A horizon T means the rewards at t = 0, ..., T-1; None means the infinite discou
 sum. ``normalized=True`` multiplies by (1 - discount), for both kinds of horizon.
 
 Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the
-error, ``|x - x*|_inf <= |M^-1|_inf |residual|_inf``, rounding included. ``solvers`` says
+error, ``|x - x*|_inf <= |M^-1|_inf |residual|_inf``, rounding included. ``solvers``
+says
 which solver is used, and where the norm of the inverse comes from.
 """
 
@@ -45,7 +46,8 @@ class LinearSolution:
     x : ndarray of shape (S,)
         The solution.
     error_bound : float
-        A bound on the largest error ``|x - x*|_inf``, rounding included. For a transposed
+        A bound on the largest error ``|x - x*|_inf``, rounding included. For a
+        transposed
         system it bounds the sum of the errors, ``|x - x*|_1``.
     method : str
         The solver: "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse
@@ -264,7 +266,11 @@ def evaluate_policy(
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
     >>> result = evaluate_policy(coin, [[1.0]] * 2)
-    >>> result.values.round(6).tolist(), round(result.value, 6), result.error_bound < 1e-12
+    >>> (
+    ...     result.values.round(6).tolist(),
+    ...     round(result.value, 6),
+    ...     result.error_bound < 1e-12,
+    ... )
     ([0.5, 1.5], 1.0, True)
     """
     require_model(model, "model")
@@ -393,7 +399,10 @@ def policy_value(
     >>> import numpy as np
     >>> from oee_tabular.mdp import FiniteMDP
     >>> mdp = FiniteMDP(np.ones((1, 1, 1)), np.array([2.0]), np.array([1.0]), 0.5)
-    >>> policy_value(mdp, np.ones((1, 1))), policy_value(mdp, np.ones((1, 1)), horizon=2)
+    >>> (
+    ...     policy_value(mdp, np.ones((1, 1))),
+    ...     policy_value(mdp, np.ones((1, 1)), horizon=2),
+    ... )
     (4.0, 3.0)
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0

@@ -64,7 +64,11 @@ class RowChanges:
     --------
     >>> from oee_tabular.testing import case
     >>> changes = row_changes(case("ragged").problem(1000, seed=0))
-    >>> changes.n_certain, changes.largest(1), [round(float(x[0, 0]), 2) for x in (changes.certain, changes.estimated)]
+    >>> (
+    ...     changes.n_certain,
+    ...     changes.largest(1),
+    ...     [round(float(x[0, 0]), 2) for x in (changes.certain, changes.estimated)],
+    ... )
     (3, [(0, 0)], [0.14, 0.22])
     """
 
@@ -140,7 +144,10 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     --------
     >>> import numpy as np
     >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(4, slip=0.3), oee.tasks.gridworld(4, slip=0.0)
+    >>> simulator, target = (
+    ...     oee.tasks.gridworld(4, slip=0.3),
+    ...     oee.tasks.gridworld(4, slip=0.0),
+    ... )
     >>> log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 20_000, seed=0)
     >>> changes = oee.inference.row_changes(oee.Problem(simulator, log))
     >>> s, a = changes.largest(1)[0]

@@ -63,7 +63,9 @@ class Decision:
     --------
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target
-    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> comparison = compare_policies(
+    ...     pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
+    ... )
     >>> decision = comparison.decide()
     >>> decision.best, [round(x, 2) for x in decision.margin]
     ('new', [3.26, 3.13, 3.39])
@@ -121,8 +123,14 @@ class Comparison:
     --------
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target
-    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
-    >>> comparison.names, comparison.differences[0].round(2).tolist(), comparison.upper[1].round(2).tolist()
+    >>> comparison = compare_policies(
+    ...     pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
+    ... )
+    >>> (
+    ...     comparison.names,
+    ...     comparison.differences[0].round(2).tolist(),
+    ...     comparison.upper[1].round(2).tolist(),
+    ... )
     (('new', 'recorded'), [0.0, 3.26], [-3.13, 0.0])
     """
 
@@ -415,7 +423,9 @@ def compare_policies(
     --------
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target
-    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> comparison = compare_policies(
+    ...     pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
+    ... )
     >>> print(comparison)
     policy         value  std. error  P(best)  difference from the best
     new           10.203        0.17   100.0%
@@ -569,7 +579,8 @@ class Selection:
 
     Examples
     --------
-    >>> round(selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0]).regret, 4)  # 2 chosen, 3 is best, of 0 to 3
+    >>> # 2 chosen, 3 is best, of 0 to 3
+    >>> round(selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0]).regret, 4)
     0.3333
     """
 

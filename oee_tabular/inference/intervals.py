@@ -286,7 +286,10 @@ def interval(
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a known target
     >>> problem = pair.problem(1000, seed=0)
-    >>> [round(interval(problem, pair.policy, method=method).width, 2) for method in ("likelihood", "delta", "robust")]
+    >>> [
+    ...     round(interval(problem, pair.policy, method=method).width, 2)
+    ...     for method in ("likelihood", "delta", "robust")
+    ... ]
     [0.66, 0.66, 5.12]
     """
     _checks.instance(problem, Problem, "problem")

@@ -1,4 +1,4 @@
-"""Curves: values against a parameter, errors against n, variances against the horizon."""
+"""Curves of values, of errors against n, and of variances against the horizon."""
 
 from __future__ import annotations
 
@@ -75,7 +75,13 @@ def plot_curves(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> ax = plot_curves([0.1, 0.9], {"oee": [-1.6, -0.4]}, Figure().subplots(), truth=[-1.5, -0.4], xlabel="delta")
+    >>> ax = plot_curves(
+    ...     [0.1, 0.9],
+    ...     {"oee": [-1.6, -0.4]},
+    ...     Figure().subplots(),
+    ...     truth=[-1.5, -0.4],
+    ...     xlabel="delta",
+    ... )
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['oee', 'true value']
     """
@@ -171,7 +177,9 @@ def plot_errors(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> plot_errors([100, 10_000], {"oee": [0.2, 0.02]}, Figure().subplots()).get_xscale()
+    >>> plot_errors(
+    ...     [100, 10_000], {"oee": [0.2, 0.02]}, Figure().subplots()
+    ... ).get_xscale()
     'log'
     """
     where, drawn = _check_curves(n, errors, "n", "errors", is_logarithmic=True)
@@ -236,7 +244,9 @@ def plot_variance_growth(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> plot_variance_growth({"product": [1.0, 4.0, 16.0]}, Figure().subplots()).get_yscale()
+    >>> plot_variance_growth(
+    ...     {"product": [1.0, 4.0, 16.0]}, Figure().subplots()
+    ... ).get_yscale()
     'log'
     """
     if horizons is None:
@@ -326,7 +336,9 @@ def label_ends(ax: Axes) -> Axes:
     --------
     >>> from matplotlib.figure import Figure
     >>> from oee_tabular.plots import plot_curves
-    >>> ax = label_ends(plot_curves([0, 1], {"low": [0, 1], "high": [0, 2]}, Figure().subplots()))
+    >>> ax = label_ends(
+    ...     plot_curves([0, 1], {"low": [0, 1], "high": [0, 2]}, Figure().subplots())
+    ... )
     >>> [text.get_text() for text in ax.texts], ax.get_legend()
     (['low', 'high'], None)
     """

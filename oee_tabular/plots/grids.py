@@ -170,7 +170,13 @@ def map_of(mdp: FiniteMDP) -> Map | None:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> corner = oee.FiniteMDP(np.full((3, 1, 3), 1 / 3), [0, 0, 1], 0, 0.9, state_names=[(0, 0), (0, 1), (1, 1)])
+    >>> corner = oee.FiniteMDP(
+    ...     np.full((3, 1, 3), 1 / 3),
+    ...     [0, 0, 1],
+    ...     0,
+    ...     0.9,
+    ...     state_names=[(0, 0), (0, 1), (1, 1)],
+    ... )
     >>> map_of(corner).shape, map_of(corner).spread([5, 6, 7])
     ((2, 2), array([ 5.,  6., nan,  7.]))
     """
@@ -234,7 +240,8 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
 def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     """Find the rows and columns of a gridworld in its transitions.
 
-    A gridworld's states are numbered row * columns + column. Its transitions stay, go to
+    A gridworld's states are numbered row * columns + column. Its transitions stay, go
+    to
     the neighbour on the left or right (never around an edge), or to the one above or
     below. A jump back to an initial state (as from CliffWalking's cliff) is allowed.
 
@@ -339,7 +346,13 @@ def plot_grid(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> ax = plot_grid([0.0, 1.0, 2.0, 3.0], (2, 2), Figure().subplots(), label="value (reward)", text=list("abcd"))
+    >>> ax = plot_grid(
+    ...     [0.0, 1.0, 2.0, 3.0],
+    ...     (2, 2),
+    ...     Figure().subplots(),
+    ...     label="value (reward)",
+    ...     text=list("abcd"),
+    ... )
     >>> [text.get_text() for text in ax.texts]
     ['a', 'b', 'c', 'd']
     """
@@ -462,7 +475,12 @@ def plot_ratio(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> [text.get_text() for text in plot_ratio([0.5, 1.0, 1.0, 2.0], (2, 2), Figure().subplots()).texts]
+    >>> [
+    ...     text.get_text()
+    ...     for text in plot_ratio(
+    ...         [0.5, 1.0, 1.0, 2.0], (2, 2), Figure().subplots()
+    ...     ).texts
+    ... ]
     ['0.5', '1', '1', '2']
     """
     from matplotlib.colors import LogNorm
@@ -528,7 +546,10 @@ def plot_coverage(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> [text.get_text() for text in plot_coverage([20, 3, 0, 1], (2, 2), Figure().subplots()).texts]
+    >>> [
+    ...     text.get_text()
+    ...     for text in plot_coverage([20, 3, 0, 1], (2, 2), Figure().subplots()).texts
+    ... ]
     ['20', '3', '1']
     """
     from matplotlib.colors import LogNorm
@@ -601,7 +622,12 @@ def plot_occupancy(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> [text.get_text() for text in plot_occupancy([0.5, 0.25, 0.25, 0.0], (2, 2), Figure().subplots()).texts]
+    >>> [
+    ...     text.get_text()
+    ...     for text in plot_occupancy(
+    ...         [0.5, 0.25, 0.25, 0.0], (2, 2), Figure().subplots()
+    ...     ).texts
+    ... ]
     ['50', '25', '25']
     """
     from matplotlib.colors import PowerNorm

@@ -1,4 +1,6 @@
-"""Colours, markers and lines that colour-blind readers can tell apart; figures as files."""
+"""Colours, markers and lines that colour-blind readers can tell apart; figures as
+files.
+"""
 
 from __future__ import annotations
 
@@ -253,7 +255,12 @@ def figure_svg(
 
     Examples
     --------
-    >>> text = figure_svg(lambda ax: ax.plot([0, 1]), name="line", title="A line", description="It rises.")
+    >>> text = figure_svg(
+    ...     lambda ax: ax.plot([0, 1]),
+    ...     name="line",
+    ...     title="A line",
+    ...     description="It rises.",
+    ... )
     >>> text[:5], 'role="img"' in text
     ('<svg ', True)
     """

@@ -69,10 +69,23 @@ def plot_values(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> row = {"policy": "new", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": 1.2}
-    >>> rows = [row, row | {"estimator": "pdis", "value": 99.0, "lower": None, "upper": None}]
+    >>> row = {
+    ...     "policy": "new",
+    ...     "estimator": "oee",
+    ...     "value": 1.0,
+    ...     "lower": 0.5,
+    ...     "upper": 1.5,
+    ...     "true_value": 1.2,
+    ... }
+    >>> rows = [
+    ...     row,
+    ...     row | {"estimator": "pdis", "value": 99.0, "lower": None, "upper": None},
+    ... ]
     >>> ax = plot_values(rows, Figure().subplots())
-    >>> [label.get_text() for label in ax.get_yticklabels()], [text.get_text() for text in ax.texts]
+    >>> (
+    ...     [label.get_text() for label in ax.get_yticklabels()],
+    ...     [text.get_text() for text in ax.texts],
+    ... )
     (['new', 'oee', 'pdis'], ['99', 'true value 1.2'])
     """
     check_texts(unit=unit)
@@ -173,7 +186,14 @@ def plot_intervals(
     Examples
     --------
     >>> from matplotlib.figure import Figure
-    >>> ax = plot_intervals(["oee", "pdis"], [0.20, 0.12], [0.16, 0.04], [0.23, 0.20], Figure().subplots(), truth=0.19)
+    >>> ax = plot_intervals(
+    ...     ["oee", "pdis"],
+    ...     [0.20, 0.12],
+    ...     [0.16, 0.04],
+    ...     [0.23, 0.20],
+    ...     Figure().subplots(),
+    ...     truth=0.19,
+    ... )
     >>> [label.get_text() for label in ax.get_yticklabels()]
     ['', 'oee', 'pdis']
     """

@@ -111,7 +111,10 @@ class Conditional(Method):
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
     >>> Conditional(prior="none").fit(log, simulator).values.data.round(2).tolist()
     [0.82, 1.18, 0.79, 1.21]

@@ -305,8 +305,11 @@ def action_displacement(simulator: FiniteMDP, coordinates: RealArrayLike) -> Arr
 
     Examples
     --------
-    >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0.5, 0.5]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9)
-    >>> action_displacement(line, [0, 1, 2]).ravel().tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
+    >>> line = FiniteMDP(
+    ...     [[[0.5, 0.5, 0]], [[0, 0.5, 0.5]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9
+    ... )
+    >>> # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
+    >>> action_displacement(line, [0, 1, 2]).ravel().tolist()
     [0.0, 1.0, 0.0, 1.0, 0.0]
     """
     _checks.instance(simulator, FiniteMDP, "simulator")

@@ -85,7 +85,10 @@ class Joint(Method):
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
     >>> Joint(data="exact").fit(log, simulator).values.data.round(1).tolist()
     [0.8, 1.2, 0.8, 1.2]

@@ -270,9 +270,14 @@ class InClass(Method):
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
-    >>> InClass(features=lambda s, a, following: following).fit(log, simulator).values.data.round(2).tolist()
+    >>> InClass(features=lambda s, a, following: following).fit(
+    ...     log, simulator
+    ... ).values.data.round(2).tolist()
     [0.81, 1.19, 0.81, 1.19]
     """
 

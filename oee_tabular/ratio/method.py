@@ -186,9 +186,18 @@ class Method:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
-    >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 50, horizon=30, seed=0)
-    >>> ways = [oee.ratio.Conditional(), oee.ratio.Quotient(normalized=False), oee.ratio.Joint()]
+    >>> simulator, target = (
+    ...     oee.tasks.gridworld(3, slip=0.3),
+    ...     oee.tasks.gridworld(3, slip=0.1),
+    ... )
+    >>> log = oee.sample_episodes(
+    ...     target, oee.uniform_policy(target), 50, horizon=30, seed=0
+    ... )
+    >>> ways = [
+    ...     oee.ratio.Conditional(),
+    ...     oee.ratio.Quotient(normalized=False),
+    ...     oee.ratio.Joint(),
+    ... ]
     >>> [way.fit(log, simulator, seed=0).method for way in ways]
     ['conditional', 'ratio_of_ratios', 'joint']
     """

@@ -82,7 +82,10 @@ class Quotient(Method):
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
     >>> fit = Quotient(normalized=False, data="exact").fit(log, simulator)
     >>> fit.values.data.round(1).tolist(), fit.row_sum_error < 0.02

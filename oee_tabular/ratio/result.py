@@ -54,8 +54,13 @@ class TransitionRatio:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> fit = oee.transition_ratio(oee.sample_transitions(target, [[0.5], [0.5]], 1000, seed=0), simulator)
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
+    >>> fit = oee.transition_ratio(
+    ...     oee.sample_transitions(target, [[0.5], [0.5]], 1000, seed=0), simulator
+    ... )
     >>> fit.counts.tolist(), fit.row_sum_error < 1e-12, fit.gap < 1e-9
     ([[502.0], [498.0]], True, True)
     >>> fit.target_model(simulator)

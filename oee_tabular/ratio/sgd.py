@@ -42,7 +42,15 @@ class Sgd:
     Examples
     --------
     >>> from oee_tabular.ratio import Sgd, density_ratio
-    >>> fit = density_ratio([3, 1], [2, 2], lower=0.1, upper=9.0, normalized=False, solver=Sgd(0.01), seed=0)
+    >>> fit = density_ratio(
+    ...     [3, 1],
+    ...     [2, 2],
+    ...     lower=0.1,
+    ...     upper=9.0,
+    ...     normalized=False,
+    ...     solver=Sgd(0.01),
+    ...     seed=0,
+    ... )
     >>> fit.ratio.round(1).tolist(), bool(fit.trace.excess[-1] < 0.01)
     ([1.5, 0.5], True)
     """

@@ -65,8 +65,12 @@ def refuse_unsupported(
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
-    >>> refuse_unsupported(target.transitions, simulator, what="target")  # doctest: +ELLIPSIS
+    >>> simulator, target = (
+    ...     oee.tasks.gridworld(2, slip=0.0),
+    ...     oee.tasks.gridworld(2, slip=0.1),
+    ... )
+    >>> # doctest: +ELLIPSIS
+    >>> refuse_unsupported(target.transitions, simulator, what="target")
     Traceback (most recent call last):
     oee_tabular.exceptions.ArgumentError: target must stay in the simulator's support...
     """
@@ -183,8 +187,14 @@ def uncovered_share(moves: SparseLike, simulator: FiniteMDP) -> float:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
-    >>> uncovered_share(target.transitions, simulator) > 0, uncovered_share(simulator.transitions, target)
+    >>> simulator, target = (
+    ...     oee.tasks.gridworld(2, slip=0.0),
+    ...     oee.tasks.gridworld(2, slip=0.1),
+    ... )
+    >>> (
+    ...     uncovered_share(target.transitions, simulator) > 0,
+    ...     uncovered_share(simulator.transitions, target),
+    ... )
     (True, 0.0)
     """
     counts, possible = _possible(moves, simulator)
@@ -225,7 +235,9 @@ def without_impossible(counts: SparseLike, simulator: FiniteMDP) -> tuple[Csr, A
     Examples
     --------
     >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0, 1]], [[0, 0, 1]]], [1, 1, 0], 0, 0.9)
-    >>> kept, dropped = without_impossible(sparse.csr_array([[2, 1, 3], [0, 0, 1], [0, 0, 0]]), line)
+    >>> kept, dropped = without_impossible(
+    ...     sparse.csr_array([[2, 1, 3], [0, 0, 1], [0, 0, 0]]), line
+    ... )
     >>> kept.toarray().tolist(), dropped.tolist()
     ([[2.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], [3.0, 0.0, 0.0])
     """
@@ -332,7 +344,12 @@ class Assumptions:
     Examples
     --------
     >>> assumptions = check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2)
-    >>> assumptions.inside, assumptions.above, assumptions.largest, assumptions.supported
+    >>> (
+    ...     assumptions.inside,
+    ...     assumptions.above,
+    ...     assumptions.largest,
+    ...     assumptions.supported,
+    ... )
     (False, 1, 1.5, True)
     """
 

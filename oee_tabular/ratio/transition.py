@@ -272,12 +272,17 @@ def transition_ratio(
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
     >>> fit = transition_ratio(log, simulator)
     >>> bool(abs(fit.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05), fit.gap < 1e-9
     (True, True)
-    >>> paper = transition_ratio(log, simulator, method=Quotient(normalized=False), simulator_data="exact")
+    >>> paper = transition_ratio(
+    ...     log, simulator, method=Quotient(normalized=False), simulator_data="exact"
+    ... )
     >>> bool(abs(paper.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05)
     True
     """
@@ -364,7 +369,10 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> simulator, target = (
+    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    ...     for p in (0.5, 0.6)
+    ... )
     >>> true_ratio(target, simulator).values.toarray().round(6).tolist()
     [[0.8, 1.2], [0.8, 1.2]]
     """

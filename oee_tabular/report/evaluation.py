@@ -182,7 +182,8 @@ def evaluate(
     --------
     >>> import oee_tabular as oee
     >>> pair = oee.testing.case("ragged")
-    >>> problem = pair.problem(1000, seed=0)  # a simulator, and a log of 1000 transitions
+    >>> # a simulator, and a log of 1000 transitions
+    >>> problem = pair.problem(1000, seed=0)
     >>> names = ["simulator", "wpdis"]
     >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
@@ -335,10 +336,15 @@ def contest(
     --------
     >>> import oee_tabular as oee
     >>> pair = oee.testing.case("ragged")
-    >>> found = contest(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> found = contest(
+    ...     pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
+    ... )
     >>> print(found.headline)
     Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.255 (95%: 3.134 to 3.389).
-    >>> [round(found.comparison()[1][key], 2) for key in ("less_by", "less_by_lower", "less_by_upper")]
+    >>> [
+    ...     round(found.comparison()[1][key], 2)
+    ...     for key in ("less_by", "less_by_lower", "less_by_upper")
+    ... ]
     [3.26, 3.13, 3.39]
     """
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")

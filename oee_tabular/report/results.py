@@ -139,8 +139,17 @@ class Report:
     --------
     >>> import oee_tabular as oee
     >>> pair = oee.testing.case("ragged")
-    >>> report = oee.evaluate(pair.problem(1000, seed=0), pair.policy, estimators=["pdis"], target=pair.target, seed=0)
-    >>> [(row["estimator"], round(row["value"], 2), round(row["error"], 2)) for row in report.records()]
+    >>> report = oee.evaluate(
+    ...     pair.problem(1000, seed=0),
+    ...     pair.policy,
+    ...     estimators=["pdis"],
+    ...     target=pair.target,
+    ...     seed=0,
+    ... )
+    >>> [
+    ...     (row["estimator"], round(row["value"], 2), round(row["error"], 2))
+    ...     for row in report.records()
+    ... ]
     [('pdis', 10.51, 0.44)]
     """
 
@@ -263,7 +272,9 @@ class Report:
         --------
         >>> import oee_tabular as oee
         >>> pair = oee.testing.case("ragged")
-        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
+        >>> oee.evaluate(
+        ...     pair.problem(1000, seed=0), {"new": pair.policy}, seed=0
+        ... ).answer.split("about")[0]
         'In the target, the policy “new” is worth '
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
@@ -638,9 +649,16 @@ class Report:
         Examples
         --------
         >>> import oee_tabular as oee
-        >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
-        >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
-        >>> page = oee.evaluate(oee.Problem(simulator, log), oee.tasks.gridworld_expert(3), seed=0).to_html()
+        >>> simulator, target = (
+        ...     oee.tasks.gridworld(3, slip=0.3),
+        ...     oee.tasks.gridworld(3, slip=0.1),
+        ... )
+        >>> log = oee.sample_episodes(
+        ...     target, oee.uniform_policy(target), 20, horizon=30, seed=0
+        ... )
+        >>> page = oee.evaluate(
+        ...     oee.Problem(simulator, log), oee.tasks.gridworld_expert(3), seed=0
+        ... ).to_html()
         >>> page[:15], "Where simulator and target differ most" in page
         ('<!doctype html>', True)
         """

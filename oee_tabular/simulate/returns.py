@@ -47,7 +47,9 @@ class SampledReturns:
     --------
     >>> import oee_tabular as oee
     >>> mdp = oee.tasks.gridworld(3, slip=0.1)
-    >>> drawn = oee.sample_returns(mdp, oee.tasks.gridworld_expert(3), 1000, horizon=20, seed=0)
+    >>> drawn = oee.sample_returns(
+    ...     mdp, oee.tasks.gridworld_expert(3), 1000, horizon=20, seed=0
+    ... )
     >>> drawn.lengths.min(), bool((drawn.final_state == 8).all())
     (np.int64(4), True)
     """

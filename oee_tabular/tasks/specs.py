@@ -133,7 +133,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
 
 
 def _gridworld_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
-    """Make the gridworld that ``rest``, the part of ``spec`` after its name, asks for."""
+    """Make the gridworld that ``rest``, the part of ``spec`` after its name, names."""
     positional, keywords = arguments(rest)
     try:
         bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))

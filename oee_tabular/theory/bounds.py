@@ -75,7 +75,10 @@ def unnormalised_bound(
 
     Examples
     --------
-    >>> round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12), unnormalised_bound(0.5, 1.0, 0.9)
+    >>> (
+    ...     round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12),
+    ...     unnormalised_bound(0.5, 1.0, 0.9),
+    ... )
     (0.5625, inf)
     """
     _checks.boolean(rewards_on_moves, "rewards_on_moves")
@@ -149,7 +152,10 @@ def unnormalised_sides(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
     >>> round(unnormalised_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
     0.357
     """
@@ -206,7 +212,10 @@ def normalised_bound(
 
     Examples
     --------
-    >>> normalised_bound(0.5, 1.0, 0.5, horizon=3), normalised_bound(0.5, 1.0, 1.0, horizon=10)
+    >>> (
+    ...     normalised_bound(0.5, 1.0, 0.5, horizon=3),
+    ...     normalised_bound(0.5, 1.0, 1.0, horizon=10),
+    ... )
     (0.5, 15.0)
     """
     _checks.boolean(rewards_on_moves, "rewards_on_moves")
@@ -272,7 +281,10 @@ def normalised_sides(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
     >>> round(normalised_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
     0.375
     """
@@ -335,8 +347,12 @@ def path_kl(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()  # log(25 / 24) / 2 a transition
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
+    >>> # log(25 / 24) / 2 a transition
+    >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()
     [0.0, 0.0204, 0.0408, 0.0612]
     """
     kernel = _check_normalised_pair(target, model, ratio)
@@ -472,7 +488,10 @@ def kl_path_sides(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
     >>> round(kl_path_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
     0.435
     """

@@ -85,7 +85,10 @@ def renyi_divergence(p: RealArrayLike, q: RealArrayLike, order: float) -> float:
 
     Examples
     --------
-    >>> [round(renyi_divergence([3, 1], [1, 1], a), 6) for a in (0.5, 1, 2, float("inf"))]
+    >>> [
+    ...     round(renyi_divergence([3, 1], [1, 1], a), 6)
+    ...     for a in (0.5, 1, 2, float("inf"))
+    ... ]
     [0.069336, 0.130812, 0.223144, 0.405465]
     """
     ps, qs = check_distributions(p, q)
@@ -225,7 +228,16 @@ def estimation_sides(
 
     Examples
     --------
-    >>> estimation_sides([1.4, 0.6], [3, 1], [2, 2], n=100, mu=10.0, nu=0.1, confidence=0.95, constant=1.0).holds
+    >>> estimation_sides(
+    ...     [1.4, 0.6],
+    ...     [3, 1],
+    ...     [2, 2],
+    ...     n=100,
+    ...     mu=10.0,
+    ...     nu=0.1,
+    ...     confidence=0.95,
+    ...     constant=1.0,
+    ... ).holds
     True
     """
     ps, qs = check_distributions(p, q)
@@ -299,7 +311,10 @@ def universal_constant_counterexample(
 
     Examples
     --------
-    >>> [round(universal_constant_counterexample(n).ratio) for n in (100, 10_000, 1_000_000)]
+    >>> [
+    ...     round(universal_constant_counterexample(n).ratio)
+    ...     for n in (100, 10_000, 1_000_000)
+    ... ]
     [55, 549, 5491]
     >>> example = universal_constant_counterexample(1_000_000)
     >>> round(example.probability_flat, 4), round(example.probability_forced, 4)
@@ -414,7 +429,9 @@ def excess_risk(g: RealArrayLike, p: RealArrayLike, q: RealArrayLike) -> Sides:
     Examples
     --------
     >>> sides = excess_risk([1.0, 1.0], [3, 1], [2, 2])
-    >>> round(sides.left, 12) == round(sides.right, 12) == round(renyi_divergence([3, 1], [2, 2], 1), 12)
+    >>> round(sides.left, 12) == round(sides.right, 12) == round(
+    ...     renyi_divergence([3, 1], [2, 2], 1), 12
+    ... )
     True
     """
     ps, qs = check_distributions(p, q)

@@ -51,9 +51,16 @@ class SimulationLemma:
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
     >>> lemma = simulation_lemma(target, model, [[1.0]] * 2)
-    >>> round(lemma.difference, 6), round(lemma.by_target_occupancy, 6), round(lemma.by_model_occupancy, 6)
+    >>> (
+    ...     round(lemma.difference, 6),
+    ...     round(lemma.by_target_occupancy, 6),
+    ...     round(lemma.by_model_occupancy, 6),
+    ... )
     (0.1, 0.1, 0.1)
     """
 
@@ -118,9 +125,16 @@ def simulation_lemma(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
     >>> lemma = simulation_lemma(target, model, [[1.0]] * 2, horizon=3)
-    >>> round(lemma.difference, 6), round(lemma.by_target_occupancy, 6), round(lemma.by_model_occupancy, 6)
+    >>> (
+    ...     round(lemma.difference, 6),
+    ...     round(lemma.by_target_occupancy, 6),
+    ...     round(lemma.by_model_occupancy, 6),
+    ... )
     (0.075, 0.075, 0.075)
     """
     kernel = check_pair(target, model, ratio)
@@ -510,8 +524,16 @@ def value_error_sides(
 
     Examples
     --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> round(value_error_sides(target, model, [[1.0]] * 2, horizon=2, error=0.2, nu=0.5).ratio, 3)
+    >>> target, model = (
+    ...     FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    ...     for p in (0.6, 0.5)
+    ... )
+    >>> round(
+    ...     value_error_sides(
+    ...         target, model, [[1.0]] * 2, horizon=2, error=0.2, nu=0.5
+    ...     ).ratio,
+    ...     3,
+    ... )
     0.023
     """
     kernel = check_pair(target, model, ratio)
@@ -559,7 +581,10 @@ def value_bound_counterexample(
 
     Examples
     --------
-    >>> [round(value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio, 2) for T in (2, 50)]
+    >>> [
+    ...     round(value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio, 2)
+    ...     for T in (2, 50)
+    ... ]
     [1.43, 18.37]
     """
     size = _checks.number_in(epsilon, "epsilon", 0.0, math.inf)
