@@ -68,6 +68,9 @@ class ArgumentError(ValueError):
     def __str__(self) -> str:
         return f"{self.argument} {self.rule}"
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
 
 class UnknownKeywordError(TypeError):
     """Report a keyword that a function does not have, and the one that is nearest.
