@@ -5,6 +5,7 @@ python -m sphinx -W notebooks build/site
 """
 
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import dependencies
 import subjects
 from docutils import nodes
+from numpydoc.docscrape import NumpyDocString
 
 import oee_tabular
 
@@ -138,13 +140,42 @@ def directive(module, name):
     """Return the lines that make autodoc show a name."""
     value = getattr(importlib.import_module(module), name)
     if isinstance(value, type):
-        return [f".. autoclass:: {module}.{name}", "   :members:", ""]
+        lines = [f".. autoclass:: {module}.{name}", "   :members:"]
+        if hidden := ", ".join(hidden_members(value)):
+            lines.append(f"   :exclude-members: {hidden}")
+        return [*lines, ""]
     if callable(value):
         return [f".. autofunction:: {module}.{name}", ""]
     text = repr(value)
     if len(text) >= 300:
         text = f"{type(value).__name__} of {len(value)}"
     return [f".. py:data:: {module}.{name}", "", f"   ``{text}``", ""]
+
+
+def hidden_members(kind):
+    """Return the members of a class that need no entry of their own.
+
+    These are the properties that its list of attributes has already, and other names
+    of private functions.
+    """
+    text = inspect.cleandoc(kind.__doc__ or "")
+    listed = {
+        name.strip()
+        for entry in NumpyDocString(text)["Attributes"]
+        for name in entry.name.split(",")
+    }
+    for name, value in vars(kind).items():
+        is_listed = isinstance(value, property) and name in listed
+        is_private = getattr(value, "__name__", name).startswith("_")
+        if not name.startswith("_") and (is_listed or is_private):
+            yield name
+
+
+def hide_private_parameters(app, what, name, value, options, signature, returned):
+    """Leave parameters that begin with an underscore out of the signatures."""
+    if signature:
+        return re.sub(r", _\w+=[^,)]*", "", signature), returned
+    return None
 
 
 def index():
@@ -199,6 +230,7 @@ def write(page, content):
 def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
+    app.connect("autodoc-process-signature", hide_private_parameters)
     app.connect("doctree-read", describe_pictures)
     app.connect("html-page-context", nest_modules)
     app.add_js_file(None, body=SILENT)

@@ -56,7 +56,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 # a column of a log: numbers, flags or names
 Column: TypeAlias = NDArray[Any]
 
-# what numpy.random.default_rng takes
+# what numpy.random.default_rng takes; ``evaluate`` takes only int, a sequence or None
 Seed: TypeAlias = (
     int
     | np.integer[Any]

@@ -86,7 +86,8 @@ ImpossibleOption = Annotated[
     typer.Option(
         "--impossible",
         metavar="refuse|drop|allow=EPS",
-        help="What to do with transitions that have probability 0 in the simulator.",
+        help="Logged transitions with simulator probability 0: raise an error, drop"
+        " them, or give them probability EPS.",
         rich_help_panel=INPUT,
     ),
 ]

@@ -169,7 +169,8 @@ def evaluate(
         bool | None,
         typer.Option(
             "--guaranteed/--quick",
-            help="Add guaranteed intervals, or leave out likelihood intervals.",
+            help="Add guaranteed intervals, or leave out likelihood ones; by default"
+            " neither.",
             rich_help_panel=VALUE,
         ),
     ] = None,

@@ -464,9 +464,10 @@ def discretize(
         Discretization, whose states and places are taken. None means the task's own, or
         else a grid up to three features and 1000 visited cells above.
     floor : float, default 0.0
-        The probability, in [0, 1], with which a step is another one: one of the
-        ``others``; where there are none, one of the log's that the task gives no
-        probability (``FiniteMDP.with_support_of``).
+        The probability in [0, 1] that the model gives to outcomes other than the
+        task's. They are those of the ``others``. If there are no others, they are the
+        log's transitions that are impossible in the task
+        (``FiniteMDP.with_support_of``).
     others : sequence of ContinuousTask, optional
         The task under other parameters, which should bracket the target's. None means
         the task's own ``others()``.
@@ -476,10 +477,10 @@ def discretize(
     discount : float, default 0.99
         The discount of the MDP, in [0, 1].
     closure_episodes : int, default 2000
-        The number of episodes of the uniform policy by which what discretising costs is
-        measured; 0 means that it is not measured.
-    seed : int, Generator or SeedSequence, optional
-        The source of visited states and random disturbances, by default 0.
+        The number of episodes of the uniform policy in which the error of the
+        discretisation (the closure error) is measured. 0 means that it is not measured.
+    seed : int, Generator or SeedSequence, default 0
+        The seed of the visited states and of the random disturbances.
 
     Returns
     -------
@@ -504,8 +505,8 @@ def discretize(
 
     Notes
     -----
-    A floor makes a *defensive* simulator, which gives probability to what the target
-    may do. It is another simulator: results made with it say so (``metadata``), and
+    A floor makes a defensive simulator, which gives probability to what the target may
+    do. It is another simulator: results made with it say so (``metadata``), and
     ``plain`` is the one without. A ratio is at most K / floor wherever the target lies
     in the convex hull of the K others.
 

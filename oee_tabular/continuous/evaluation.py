@@ -115,8 +115,8 @@ def evaluate_continuous(
         Policies by name: functions of states (n, d) giving probabilities (n, A), or (S,
         A) arrays of probabilities on the cells.
     settings : Settings, optional
-        Grid, calibration, and what to do with states outside and actions not in the
-        set.
+        The grid, the calibration, and the treatment of states outside the grid and of
+        actions that the task does not have. None means ``Settings()``.
     behavior : function, optional
         The policy that recorded the log, where the log lacks its probabilities.
     target : ContinuousTask, optional
@@ -137,15 +137,16 @@ def evaluate_continuous(
         Gamma, in [0, 1].
     confidence : float, default 0.95
         The level of the intervals, in (0, 1).
-    seed : int or SeedSequence, optional
-        The source of random numbers. The same seed gives the same bits.
+    seed : int or sequence of int, optional
+        The seed of all random numbers. The same seed gives the same report. None draws
+        a new seed.
     normalized : bool, default False
         Whether the report multiplies values by (1 - discount).
     facts : mapping, optional
         More to keep in the report's ``facts``.
     guaranteed : bool, default False
-        Whether the intervals that hold at any sample size are computed too; they need
-        cells.
+        Whether to compute also the intervals that cover at any sample size. They need
+        ``settings.grid``.
     quick : bool, default False
         Whether likelihood intervals, which take most of the time on cells, are left
         out.
@@ -184,13 +185,18 @@ def evaluate_continuous(
 
     Notes
     -----
-    In front stands the value of the corrected simulator (``choose_correction``) by
-    Monte Carlo, or, where no correction can be trusted, the simulator's. The row "oee
-    (residual)" is there where oee is asked for; with ``settings.grid`` also "oee
-    (calibrated)" and, last, "oee on the grid", which has the grid's error; "linear
-    model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
-    Carlo) always. ``facts`` has the support diagnostics and the closure error. Where
-    the cells cannot take the log, their rows are left out with a sentence.
+    The report states first the Monte Carlo value of the corrected simulator
+    (``choose_correction``), or the simulator's value if no correction can be trusted.
+    Its rows are:
+
+    - "simulator (continuous)": always, by Monte Carlo.
+    - "oee (residual)": if "oee" is among the estimators.
+    - "linear model of the log": if ``estimators`` is None.
+    - "oee (calibrated)" and "oee on the grid": if ``settings.grid`` is given as well.
+      The latter has the error of the grid.
+
+    ``facts`` has the support diagnostics and the closure error. If the cells do not fit
+    the log, their rows are left out and a warning says why.
 
     Examples
     --------

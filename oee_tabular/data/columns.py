@@ -355,7 +355,7 @@ class LogColumns:
 
     @classmethod
     def load(cls, path: files.Paths) -> Self:
-        """Read a log from files.
+        r"""Read a log from files.
 
         Parameters
         ----------
@@ -383,9 +383,18 @@ class LogColumns:
 
         Notes
         -----
-        Columns of CSV and parquet are the constructor's names, only state, action and
-        next_state are required; those of vectors are state_0, state_1, ...,
-        next_state_0, ..., action or action_0, ...
+        The columns of CSV and parquet files have the names of the constructor's
+        parameters. Only state, action and next_state are required. A vector has the
+        columns state_0, state_1, ..., next_state_0, ..., and action or action_0, ...
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> from oee_tabular import Transitions
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "log.csv"
+        >>> _ = path.write_text("state,action,next_state\n0,0,1\n1,0,2\n")
+        >>> Transitions.load(path)
+        Transitions(2 transitions: 0 terminated, 0 truncated; states 0..2, actions 0..0)
         """
         logs = []
         reported: set[str] = set()

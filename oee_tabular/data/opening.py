@@ -59,8 +59,8 @@ def open_log(
         Raise at the first invalid row, or leave such rows out and give their number.
         The other transitions of a broken episode are still counted.
     kept_moves : int, default 200 000
-        The number of transitions of which whole episodes are kept for importance
-        sampling, drawn by a hash.
+        About how many transitions are kept, in whole episodes, for importance
+        sampling. A hash of its name decides whether an episode is kept.
     output : path_like, optional
         The .npz file to write the counts to, whole or not at all.
     jobs : int, default 1
@@ -86,8 +86,9 @@ def open_log(
 
     Notes
     -----
-    The cost is O(rows) time, and memory of the different transitions of a file and of
-    the episodes' names. Serial, processes and cluster give the same bits.
+    The time is linear in the number of rows. The memory is that of the distinct
+    transitions of one file and of the names of the episodes. The result does not
+    depend on ``jobs`` or ``dask``.
 
     Examples
     --------

@@ -39,7 +39,13 @@ if TYPE_CHECKING:
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(LogColumns):
-    """Hold logged transitions of the target, checked when made and immutable.
+    """Hold logged transitions (s, a, s', r) of the target.
+
+    The columns are checked when the log is made, and are read-only afterwards.
+    ``load`` reads a log from files, ``from_frame`` makes one of a data frame,
+    ``from_episodes`` of lists of steps, and ``open`` counts files that memory does not
+    hold. Every parameter is also an attribute, ``len(log)`` is the number n of
+    transitions, and ``n_episodes`` the number of episodes, or None.
 
     Parameters
     ----------
@@ -50,9 +56,10 @@ class Transitions(LogColumns):
         them to a simulator's, which ``Problem`` and ``transition_ratio`` do by
         themselves.
     action : array_like of shape (n,)
-        The actions a_i, by the same rules.
+        The actions a_i, by the same rules. They are required, although the signature
+        has the default None.
     next_state : array_like of shape (n,)
-        The next states s'_i, by the same rules.
+        The next states s'_i, by the same rules, likewise required.
     reward : array_like of shape (n,), optional
         The finite rewards r_i, nan where one is missing. Without any, ``log.reward`` is
         None.
@@ -231,7 +238,7 @@ class Transitions(LogColumns):
             The model to whose names those of states and actions are matched at once.
             None means that the log keeps the names (``numbered``).
         state : str or sequence of str, optional
-            The frame's own name of the column of states, ``"state"`` by default.
+            The name of the column of states in the frame, ``"state"`` by default.
             Several names, ``["row", "column"]``, make tuples of their values, which are
             names.
         action : str or sequence of str, optional

@@ -56,9 +56,10 @@ def plan_data_collection(
 ) -> Plan:
     """Choose where to record the next n transitions of the target.
 
-    The plan estimates the policies' values most precisely:
+    The plan makes the standard errors of the policies' values as small as possible. It
+    solves::
 
-    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,
+        minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi
 
     where q is the distribution of the new transitions over state-action pairs x, c^pi_x
     = Var_{s' ~ P'(.|x)}[dJ_pi / dP'(s' | x)], n_x are the log's counts, and best_pi is
@@ -69,8 +70,9 @@ def plan_data_collection(
     problem : Problem or FiniteMDP
         The simulator and the log, or the simulator alone if there is no log yet.
     policies : PolicyLike or mapping of str to PolicyLike
-        The policy, or the policies by name, whose values are to be estimated. The worst
-        of several counts.
+        The policy, or the policies by name, whose values are to be estimated. Of
+        several policies, the plan improves the one that is estimated worst, relative to
+        a plan for it alone. A list is read as one policy.
     n : int
         The number of transitions to be recorded.
     sampling : {'free', 'behavior'}, default 'free'

@@ -140,23 +140,34 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
 class ImportanceSampling(TabularEstimator):
     """Importance sampling: the log's episodes, weighted by products of policy ratios.
 
-    The ratio of a step is rho = policy(a | s) / behaviour(a | s).
+    ``ImportanceSampling()(problem, policy)`` returns an ``Estimate``. The weights are
+    products of rho = policy(a | s) / behaviour(a | s) over the steps of an episode. It
+    uses no transition probabilities of the simulator. It needs a log with whole
+    episodes, and the probabilities with which the behaviour policy took their actions.
 
     Parameters
     ----------
     kind : {'trajectory', 'per_decision'}, default 'per_decision'
-        The weight of a reward: the product over the whole episode, or over the steps up
-        to the reward's own (eq. 3.5).
+        The weight of a reward. 'trajectory' is the product of rho over the whole
+        episode; 'per_decision' is the product over the steps up to the reward
+        (eq. 3.5).
     self_normalized : bool, default False
-        Whether the sum is divided by the sum of the weights (weighted importance
-        sampling); for "per_decision", at each step.
+        Whether to divide by the sum of the weights instead of the number of episodes
+        (weighted importance sampling). For 'per_decision' this is done at each step.
     ragged : {'pad', 'zero'}, default 'pad'
-        For self-normalised "per_decision": whether an episode that has ended keeps its
-        last weight in the sums of later steps, or has weight 0 there, which estimates
-        another quantity, E[r_t | not ended].
+        The weight of an ended episode in the sums of later steps, if 'per_decision' is
+        self-normalised. 'pad' keeps its last weight. 'zero' sets it to 0, which
+        estimates another quantity, E[r_t | not ended].
     behavior : {'recorded', 'estimated'}, default 'recorded'
-        The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the
-        log's action frequencies.
+        Where the behaviour probabilities come from. 'recorded' takes the log's, or else
+        those of ``Problem(behavior_policy=...)``. 'estimated' takes the frequencies of
+        actions in the log.
+
+    Raises
+    ------
+    ValueError
+        When called, if the log has no episodes, or if behaviour probabilities are
+        missing or 0 for a recorded action.
 
     See Also
     --------

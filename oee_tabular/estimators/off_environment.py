@@ -65,23 +65,29 @@ OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 class OffEnvironment(RatioEstimator):
     """Off-environment evaluation, the default: the value of the corrected simulator.
 
-    The simulator's transition probabilities P are multiplied by a ratio zeta that is
-    fitted to the log and shrunk to a prior; the value of zeta * P (eq. 4.2) is then
-    moved towards the log, where that contradicts it. The paper's own estimator is
+    ``OffEnvironment()(problem, policy, seed=None)`` returns an ``Estimate``. It fits a
+    ratio zeta = P_target / P to the log, shrunk to a prior, and multiplies the
+    simulator's transition probabilities P by it. It computes the policy's value in this
+    corrected simulator zeta * P (eq. 4.2). If the log contradicts that value, it moves
+    the value towards the log. The paper's own estimator is
     ``OffEnvironment(Quotient(normalized=False), evaluation="monte_carlo")``.
 
     Parameters
     ----------
     ratio : str, Method, TransitionRatio or callable, default 'conditional'
-        The source of zeta. A name ("conditional", "ratio_of_ratios" or "joint") or a
-        method of ``oee.ratio`` with its options (``Conditional(...)``, the paper's own
-        ``Quotient(normalized=False)``) is fitted to the log; a ``TransitionRatio`` is
-        used as it is; a function (log, simulator) -> TransitionRatio, such as
-        ``functools.partial(oee.transition_ratio, strength=3.0)``, is called, with the
-        counts for the log where the problem was given counts.
+        How zeta is fitted:
+
+        - a name, "conditional", "ratio_of_ratios" or "joint": that method of
+          ``transition_ratio`` with its default options;
+        - a method object of ``oee.ratio`` such as ``Conditional(strength=3.0)`` or
+          ``Tied(keys)``: that method with these options;
+        - a ``TransitionRatio``: this ratio, without a fit;
+        - a function (log, simulator) -> TransitionRatio: what it returns. It gets the
+          counts in place of the log if the problem was given counts.
     evaluation : {'exact', 'monte_carlo'}, default 'exact'
-        Dynamic programming in zeta * P (no product of ratios, no variance), or the
-        paper's product of ratios on rollouts of the simulator.
+        How the value is computed. 'exact' solves for it by dynamic programming in
+        zeta * P, which adds no variance. 'monte_carlo' averages rollouts of the
+        simulator, weighted by the paper's products of ratios.
     weighting : {'per_decision', 'trajectory'}, default 'per_decision'
         For "monte_carlo": whether a reward is multiplied by the ratios up to its step,
         or by those of the whole episode.
@@ -90,6 +96,12 @@ class OffEnvironment(RatioEstimator):
     n_rollouts : int, default 100
         For "monte_carlo": the number of simulated episodes, which are those of
         ``sample_returns``.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of its range; when called, if the policy or the problem does
+        not fit.
 
     See Also
     --------
@@ -107,12 +119,13 @@ class OffEnvironment(RatioEstimator):
 
         J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2
 
-    Here change is the difference to the one-step value or to that of maximum
-    likelihood, whichever is nearer (0 if they lie on two sides): the first is linear in
-    the log's frequencies and can overshoot, the second has a large variance with few
-    transitions. If the nearer is more than 2 s away, change goes on towards maximum
-    likelihood, and reaches it at 4 s: the error of the first order is then larger than
-    the noise. s is the standard error of the difference of the two values, se that of
+    Here change is the difference from J(zeta P) to the nearer of two values, the
+    one-step value and the maximum-likelihood value; it is 0 if J(zeta P) lies between
+    them. The one-step value is linear in the log's frequencies and can overshoot. The
+    maximum-likelihood value has a large variance if there are few transitions. If the
+    nearer value is more than 2 s away, change is lengthened towards the
+    maximum-likelihood value, which it reaches at 4 s, because the linearisation error
+    then exceeds the sampling error. s is the standard error of the difference of the two values, se that of
     the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with
     s / se_fit: the more the prior can gain, the more evidence the log needs against it.
     Its values minimise the largest regret over all biases of the prior [1]_.

@@ -52,6 +52,11 @@ _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 class Problem:
     """The input of an estimator: a simulator and a log of the target.
 
+    The simulator is a model of the target, the real environment. The log holds
+    transitions that were recorded in the target. Both are checked against each other
+    when the problem is made. ``oee.evaluate``, ``oee.interval`` and all estimators take
+    a problem.
+
     Parameters
     ----------
     simulator : FiniteMDP
@@ -79,13 +84,14 @@ class Problem:
         Whole episodes for importance sampling, if ``log`` has transitions without
         episodes.
     counts : sparse matrix of shape (S*A, S), optional
-        Nonnegative counts in place of the log's, for estimators that use counts
-        (``Discretization.counts`` gives soft ones). Importance sampling and the paper's
-        ratio of ratios use the log. Tests and intervals need whole counts.
+        Nonnegative counts that replace the log's in estimators that use counts. They
+        may be fractions, such as those of ``Discretization.counts``, but tests and
+        intervals need whole numbers. Importance sampling and the paper's ratio of
+        ratios still use the log.
     impossible : {'refuse', 'drop'}, default 'refuse'
-        Whether transitions of the log with simulator probability 0 are an error, or are
-        left out of ``counts``. Likelihood and guaranteed intervals then let them lead
-        anywhere (``inference.asymptotic``).
+        What is done with logged transitions whose simulator probability is 0. 'refuse'
+        raises an error. 'drop' leaves them out of ``counts``; likelihood and guaranteed
+        intervals then allow any next state for them (``inference.asymptotic``).
 
     Raises
     ------
@@ -274,7 +280,7 @@ class Problem:
 
     @cached_property
     def soft(self) -> bool:
-        """Return whether some counts are no whole numbers, which tests need."""
+        """Return whether some counts are fractions, which intervals refuse."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 

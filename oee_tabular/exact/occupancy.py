@@ -64,7 +64,8 @@ def occupancy(
         Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
         as in ``check_policy``.
     horizon : int, optional
-        Number of steps, at t = 0..horizon-1. None means all steps (discount below 1).
+        The number T of times, t = 0..T-1. None means all times, which needs a discount
+        below 1.
     of : {'state', 'state_action', 'transition'}, default 'state_action'
         What the occupancy is of.
 

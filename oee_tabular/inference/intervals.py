@@ -83,17 +83,19 @@ class Interval:
     status : str
         "ok", or the contradiction between the log and the assumed box.
     sampling : (float, float) or None
-        For the likelihood interval, the ends from the recorded transitions alone. If
-        the policy reaches recorded pairs only, and no transition was dropped, it is the
-        interval itself before a sampled simulator widens it. Otherwise it is the value
-        of ``OffEnvironment()`` ± a normal quantile times its standard error, in which
-        unrecorded pairs are as estimated, with the uncertainty that one transition
-        would leave. With 3 to 10 transitions a pair and 90% of the policy's time
-        recorded, it covers in 96% of the cases. None without a standard error, and for
-        the other methods.
+        The part of a likelihood interval that is due to sampling; None for the other
+        methods and if there is no standard error. If the policy reaches only recorded
+        pairs and no transition was dropped, it is the likelihood interval before it is
+        widened for a sampled simulator. Otherwise it is the value of
+        ``OffEnvironment()`` ± a normal quantile times its standard error. This standard
+        error counts an unrecorded pair as if it had been recorded once. With 3 to 10
+        transitions in each pair and 90% of the policy's time in recorded pairs, the 95%
+        interval covered in 96% of the trials.
     under : str
-        The assumption that defines the model of the interval: "the tie" or "the
-        features"; "" without one.
+        The assumption that the interval rests on: "the tie" or "the features"; "" if
+        there is none.
+    width : float
+        The upper end minus the lower end.
 
     See Also
     --------
@@ -195,9 +197,12 @@ def interval(
     n_bootstrap: int = 400,
     seed: Seed = None,
 ) -> Interval:
-    """Compute a confidence interval for J of a policy in the target.
+    """Compute a confidence interval for the value of a policy in the target.
 
-    Rewards are taken as known.
+    The value J is the expected discounted sum of rewards over the problem's horizon.
+    Rewards count as known. Every method uses the problem's log and simulator; the
+    bounds nu P <= P_target <= mu P of ``lower_ratio`` and ``upper_ratio`` are called
+    the box.
 
     Parameters
     ----------
@@ -208,44 +213,50 @@ def interval(
     method : {'likelihood', 'delta', 'bootstrap', 'robust'}, default 'likelihood'
         How the interval is made:
 
-        - "likelihood": the profile likelihood with the chi-square quantile of one
-          degree of freedom. Unrecorded pairs that the policy reaches are set to their
-          extremes in the box.
+        - "likelihood": the values that the profile likelihood does not reject, by the
+          chi-square quantile of one degree of freedom. It covers in large logs.
+          Unrecorded pairs that the policy reaches take their worst and best
+          distributions in the box.
         - "delta": the value of the maximum-likelihood model ± a normal quantile times
-          its standard error. Unrecorded pairs are exactly as simulated, without
-          uncertainty.
-        - "bootstrap": percentiles of the values of resampled maximum-likelihood models,
-          with unrecorded pairs as in "delta".
-        - "robust": guaranteed at any sample size. Each pair's distribution lies in a KL
-          ball around its frequencies and in the box, in all pairs at once. The ends are
-          extreme values by robust policy evaluation, certified.
+          its standard error. It covers in large logs. It assumes that the simulator is
+          exact in unrecorded pairs.
+        - "bootstrap": percentiles of the values of resampled maximum-likelihood models.
+          It makes the same assumption as "delta".
+        - "robust": an interval that covers at any sample size, and is much wider. It
+          assumes only that the distributions of all pairs lie in the box and in KL
+          balls around their frequencies. Robust policy evaluation computes the ends and
+          certifies them.
     confidence : float, default 0.95
         The level, in (0, 1).
     lower_ratio : float, optional
         Lower bound nu in [0, 1] of the box nu P <= P_target <= mu P. The box limits
-        "likelihood" in unrecorded pairs and "robust" in all pairs. The log is tested
-        against it in each recorded pair, weakly, by the KL ball of ``radius`` at
-        ``confidence``, shared by all pairs. None for both bounds means any distribution
-        on the simulator's support.
+        "likelihood" in unrecorded pairs and "robust" in all pairs. If the log
+        contradicts the box, there is no interval (see Returns); the test is weak
+        because it allows for all pairs at once. None for both bounds allows any
+        distribution on the simulator's support.
     upper_ratio : float, optional
         Upper bound mu >= 1 of the box.
     tie : array, data frame or function, optional
-        A key for each transition, as in ``transition_ratio``. The result is the
-        likelihood interval of the model in which transitions of one key differ from the
-        simulator alike, and nothing else differs. It is narrower if the assumption is
-        true, and may miss the value if it is not. Not together with ``features``.
+        A key for each transition that the simulator allows, in the forms of
+        ``ratio.Tied``. Transitions with the same key are assumed to differ from the
+        simulator by the same factor. The likelihood interval is narrower under this
+        assumption, and may miss the value if it is false. Only for "likelihood",
+        without bounds and without ``features``.
     features : array, data frame or function, optional
         Features of each transition, as in ``transition_ratio``, along which alone the
         target differs from the simulator.
     radius : {'auto', 'independent', 'anytime'}, default 'auto'
-        The KL balls: for fixed counts ("independent"), or for counts that are random,
-        as in episodes ("anytime"). "auto" is "anytime" for a log with episodes.
+        The radius of the KL balls of "robust" and of the test of the box. "independent"
+        is valid if the counts of pairs were fixed before recording, "anytime" also if
+        they are random, as in episodes. "auto" is "anytime" for a log with episodes and
+        "independent" otherwise.
     resample : {'transitions', 'episodes'}, default 'transitions'
-        What the bootstrap resamples.
+        What the bootstrap resamples. "episodes" needs a log with at least
+        10 episodes.
     n_bootstrap : int, default 400
-        The number of resamples of the bootstrap.
-    seed : Seed, optional
-        The seed of the bootstrap.
+        The number of resamples, for "bootstrap" only.
+    seed : int, Generator or SeedSequence, optional
+        The seed of the resamples, for "bootstrap" only. None draws a new seed.
 
     Returns
     -------
@@ -268,9 +279,9 @@ def interval(
 
     Notes
     -----
-    The likelihood interval takes about a hundred linear solves (10 000 states in a
-    second); robust takes a few policy evaluations with O(nnz) row problems each; the
-    bootstrap takes n_bootstrap evaluations.
+    "likelihood" costs about a hundred linear solves, in all about a second for 10 000
+    states. "robust" costs a few policy evaluations, each with O(nnz) work in its rows.
+    "bootstrap" costs ``n_bootstrap`` policy evaluations.
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
     far models in the set may lie beyond its ends, 0 at convergence.

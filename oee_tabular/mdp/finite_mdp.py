@@ -62,7 +62,11 @@ InitialLike: TypeAlias = RealArrayLike | str | tuple[Any, ...] | Mapping[Any, fl
 
 @suggest_keywords
 class FiniteMDP:
-    """Describe a finite Markov decision process, checked when made and immutable.
+    """Describe a finite Markov decision process (S, A, P, r, mu_0, gamma).
+
+    S is the number of states and A the number of actions, both counted from 0. The
+    arrays are checked when the object is made, and are read-only afterwards. A
+    simulator, and a target if it is known, are given in this form.
 
     Parameters
     ----------
@@ -82,8 +86,10 @@ class FiniteMDP:
         The discount gamma in [0, 1]. At 1 an infinite horizon is defined only for
         policies that are absorbed in states without reward.
     terminal_state : array_like of int of shape (S0,), optional
-        For s < S0, the number of the environment's own states, the state that a
-        transition which *terminates* on entering s leads to. None means s itself.
+        Where terminated transitions lead. A transition that enters state s and
+        terminates leads to ``terminal_state[s]``; None means s itself. S0 <= S is the
+        number of the environment's own states, without the terminal twins that
+        ``from_gymnasium`` and ``from_log`` append.
     layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
         Finite coordinates of the states, for displacements (``mdp.displacements``) and
         maps ((row, column) if c = 2). With a grid's shape, whose product is S, state s
@@ -96,8 +102,9 @@ class FiniteMDP:
     action_names : sequence of A str or tuple, optional
         Distinct names of the actions, by the same rules.
     sampling : Sampling, optional
-        The sample sizes of an MDP made of samples. ``from_log`` and ``from_env`` set
-        it, and intervals widen by it.
+        The numbers of samples that the probabilities and rewards were estimated from
+        (``mdp.empirical.Sampling``). ``from_log`` and ``from_env`` set it, and
+        intervals are wider for it. None means that the model is known exactly.
 
     Attributes
     ----------
@@ -115,8 +122,8 @@ class FiniteMDP:
     transition_rewards : csr_array of shape (S*A, S), or None
         The rewards r(s, a, s'), with an entry wherever they are defined.
     reward_data : ndarray of shape (nnz,), or None
-        The rewards r(s, a, s') on the entries of ``transitions``, aligned with
-        ``transitions.data``; None if rewards are r(s, a).
+        The rewards r(s, a, s') on the nnz positive entries of ``transitions``, aligned
+        with ``transitions.data``; None if rewards are r(s, a).
     initial : ndarray of shape (S,)
         The distribution of the first state.
     discount : float
@@ -455,7 +462,7 @@ class FiniteMDP:
 
         See Also
         --------
-        with_support_of : Allow only the transitions of a log.
+        with_support_of : Allow the transitions of a log, and no other new ones.
 
         Notes
         -----

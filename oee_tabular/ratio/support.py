@@ -69,8 +69,9 @@ def refuse_unsupported(
     ...     oee.tasks.gridworld(2, slip=0.0),
     ...     oee.tasks.gridworld(2, slip=0.1),
     ... )
-    >>> # doctest: +ELLIPSIS
-    >>> refuse_unsupported(target.transitions, simulator, what="target")
+    >>> refuse_unsupported(
+    ...     target.transitions, simulator, what="target"
+    ... )  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     oee_tabular.exceptions.ArgumentError: target must stay in the simulator's support...
     """

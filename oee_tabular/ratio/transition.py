@@ -174,6 +174,10 @@ def transition_ratio(
 ) -> TransitionRatio:
     """Estimate zeta(s, a, s') = P_target / P_simulator from a log of the target.
 
+    Multiplied by this ratio, the simulator's transition probabilities estimate the
+    target's. ``oee.evaluate`` does this by itself; call this function to inspect the
+    ratio, or to choose another method.
+
     Parameters
     ----------
     log_or_counts : Transitions or sparse array of shape (S*A, S)
@@ -207,50 +211,65 @@ def transition_ratio(
     seed : int, Generator or None, optional
         Seed of the simulator's data, if they are sampled, and of Algorithm 1's batches.
     prior : {'ridge', 'tilt', 'simulator', 'none'}, optional
-        Option of ``Conditional``. An option of None is left out: the method's class has
-        the default.
+        What zeta is shrunk to. For 'conditional'; default 'ridge'. Here and below None
+        means the default of the method.
     strength : float, 'evidence' or 'loo', optional
-        Option of ``Conditional`` and ``Tied`` (there a number).
-    features : array-like, data frame or callable, optional
-        Option of ``Conditional`` and ``InClass``.
-    tie : array-like of int, data frame or callable, optional
-        Option of ``Tied``.
+        How many transitions the prior is worth in each pair. For 'conditional', default
+        'evidence', and for 'tied', where it is a number, default 3.0.
+    features : array_like, data frame or callable, optional
+        Features of the simulator's transitions. For 'conditional', default none, and
+        for 'linear', which needs them.
+    tie : array_like of int, data frame or callable, optional
+        Keys of the simulator's transitions; transitions with the same key share one
+        ratio. For 'tied', which needs it.
     kernel : 'gaussian' or callable, optional
-        Option of method 'kernel' (``InClass``).
-    coordinates : array-like of shape (S,) or (S, c), optional
-        Option of method 'kernel' (``InClass``).
+        The kernel. For 'kernel'; default 'gaussian'.
+    coordinates : array_like of shape (S,) or (S, c), optional
+        The coordinates of the states. For 'kernel'.
     bandwidth : float, optional
-        Option of method 'kernel' (``InClass``).
+        The bandwidth of the Gaussian, in standard deviations. For 'kernel'; default
+        1.0.
     n_centers : int, optional
-        Option of method 'kernel' (``InClass``).
+        The number of transitions above which the kernel is approximated. For 'kernel';
+        default 200.
     lower : float, optional
-        Option of all methods but ``Tied``: on zeta, of ``Quotient`` and ``Joint`` on
-        each beta.
+        The lower bound on zeta; for 'ratio_of_ratios' and 'joint' on each density
+        ratio beta, default 0.01. Otherwise default 0. Not for 'tied'.
     upper : float, optional
-        Option of all methods but ``Tied``, as ``lower``.
+        The upper bound, likewise; for 'ratio_of_ratios' and 'joint' default 10.0.
+        Otherwise default unbounded. Not for 'tied'.
     ratio_lower : float, optional
-        Option of ``Joint``.
+        The lower bound on the quotient of the two betas. For 'joint'; default 0.
     ratio_upper : float, optional
-        Option of ``Joint``.
+        The upper bound on the quotient of the two betas. For 'joint'; default
+        unbounded.
     ridge : float, callable, 'evidence' or 'loo', optional
-        Option of all methods but ``Tied``; the words are ``Conditional``'s alone.
+        The factor of the squared penalty. Default 0.0; for 'linear' and 'kernel' 1 / n.
+        'evidence' and 'loo' are for 'conditional' only. Not for 'tied'.
     toward : float or None, optional
-        Option of ``Conditional`` and ``Quotient``, for which None is a value of its own
-        (the paper's I(g)^2 = sum g^2).
+        The number that the ridge pulls the ratio to, default 1.0. None is a value of
+        its own: the penalty is then the paper's I(g)^2 = sum g^2. For 'conditional' and
+        'ratio_of_ratios'.
     normalized : bool, optional
-        Option of ``Quotient``.
+        Whether each beta is constrained to have mean 1. For 'ratio_of_ratios'; default
+        True. The paper's estimator has False.
     solver : str or Sgd, optional
-        Option of all methods but ``Tied``; ``Sgd`` is ``Quotient``'s alone.
+        'dual', the default, or the name of a cvxpy solver; ``Sgd(...)`` for
+        'ratio_of_ratios' only. Not for 'tied'.
     data : Transitions or 'exact', optional
-        Option of ``Quotient`` and ``Joint``; it replaces ``simulator_data``.
+        The same as ``simulator_data``, which it replaces. For 'ratio_of_ratios' and
+        'joint'.
     functions : Network, optional
-        Option of ``Conditional`` and ``Quotient``.
+        The neural network that represents the ratio. None means a table. For
+        'conditional' and 'ratio_of_ratios'.
 
     Returns
     -------
     TransitionRatio
-        Unrecorded pairs have the prior's zeta (1, or the tilt's); ``visited`` marks the
-        recorded ones.
+        The fitted ratio. ``values`` is zeta, a sparse array of shape (S*A, S) on the
+        simulator's transitions; ``gap`` bounds the error of the optimisation, and
+        ``target_model(simulator)`` is the corrected simulator. Where a pair was never
+        recorded (``visited`` is False), zeta is the prior's: 1, or the tilt's.
 
     Raises
     ------

@@ -96,30 +96,31 @@ def evaluate(
     ----------
     problem : Problem
         The simulator, the log of the target, and what is known of the recording.
-    policies : PoliciesLike
-        One policy, a list of policies, or a mapping from names to policies. A policy is
-        an (S, A) array of probabilities, an (S,) array of actions or their names, a
-        mapping from states to actions, or a function of a state
-        (``mdp.check_policy``).
+    policies : policy, list of policies, or dict of str to policy
+        The policies to evaluate. A policy is an (S, A) array of probabilities, an (S,)
+        array of actions or their names, a mapping from states to actions, or a function
+        of a state (``mdp.check_policy``). S and A are the numbers of states and
+        actions. Without names, one policy is called "policy", and several "policy 0",
+        "policy 1", ...
     estimators : names, estimators, or a mapping from names to estimators, optional
         What evaluates the policies: names such as ``"oee"``, ``"model-based"`` or
         ``"wpdis"``, estimator objects such as ``oee.estimators.OffEnvironment()``, and
-        functions of (problem, policy) or (problem, policy, seed). All names are in
-        ``oee_tabular.estimators.names``. None means the simulator, off-environment
-        evaluation, the model-based baseline, and importance sampling where the log has
-        episodes and the behaviour policy is known.
+        functions of (problem, policy) or (problem, policy, seed).
+        ``oee.estimators.names.NAMED`` maps every name to its meaning. None means
+        ``["simulator", "oee", "model-based"]``, and also ``["pdis", "wpdis"]``
+        (importance sampling) if the log has episodes and the behaviour policy is known.
     confidence : float, default 0.95
         The level of all intervals, in (0, 1).
-    seed : Seed, optional
-        The seed of estimators that sample: an int, or anything that
-        ``numpy.random.SeedSequence`` takes. Every pair of a policy and an estimator has
-        a stream of its own. None draws a new seed.
+    seed : int or sequence of int, optional
+        The seed of the estimators that sample. The same seed gives the same report.
+        Every pair of a policy and an estimator has its own random stream. None draws a
+        new seed. A ``numpy.random.Generator`` or ``SeedSequence`` is refused.
     normalized : bool, default False
         Whether tables, pictures and files of the report multiply values by
-        (1 - discount).
+        (1 - discount). This is an error at discount 1.
     target : FiniteMDP, optional
-        The true target, where it is known (in teaching and research). The report then
-        has the exact values and the errors.
+        The true target, if it is known (in teaching and research), with the simulator's
+        states and actions. The report then has the exact values and the errors.
     facts : Mapping of str to value, optional
         More entries for the report's ``facts``, such as names of files.
     guaranteed : bool, default False
@@ -127,31 +128,35 @@ def evaluate(
         (``interval(method="robust")``).
     quick : bool, default False
         Whether to leave out the likelihood intervals, which take most of the time in
-        large problems.
+        large problems. Then ``guaranteed`` must be False and no bound may be given.
     lower_ratio : float, optional
-        A known lower bound in [0, 1] on target over simulator probabilities. With
-        ``upper_ratio`` it narrows likelihood intervals, guaranteed intervals and
-        comparisons.
+        A known lower bound in [0, 1] on P_target / P_simulator, the ratio of transition
+        probabilities. It narrows likelihood intervals, guaranteed intervals and
+        comparisons. It may be given without ``upper_ratio``, but not with ``quick``.
     upper_ratio : float, optional
-        A known upper bound of at least 1 on target over simulator probabilities.
-    tie : array, data frame or function, optional
-        A key for each transition. Transitions of one key are taken to differ from the
-        simulator by the same factor (``transition_ratio``). It adds the estimator
-        ``"oee-tied"`` with the interval of its own model. Not together with
-        ``features``.
-    features : array, data frame or function, optional
-        Features of each transition, along which the target is taken to differ from the
-        simulator (``transition_ratio``). It adds the estimator ``"oee-features"`` with
-        the interval of its own model.
+        A known upper bound of at least 1 on P_target / P_simulator, likewise.
+    tie : array_like of int of shape (nnz,), data frame or callable, optional
+        A key for each of the nnz transitions that the simulator allows, not for each
+        logged one: an array aligned with ``simulator.transitions.data``, or another
+        form that ``ratio.Tied`` describes. Transitions with the same key are assumed
+        to differ from the simulator by the same factor. The report then has one more
+        estimator, ``"oee-tied"``, whose interval rests on this assumption. ``features``
+        must be None.
+    features : array_like of shape (nnz,), data frame or callable, optional
+        Features of each of the nnz transitions that the simulator allows, or another
+        form that ``ratio.Conditional`` describes. The target is assumed to differ
+        from the simulator only along these features. The report then has one more
+        estimator, ``"oee-features"``, whose interval rests on this assumption. ``tie``
+        must be None.
 
     Returns
     -------
     Report
         The estimates with their intervals, in the order policy, estimator.
         ``print(report)`` begins with the answer, ``report.table`` is a data frame,
-        ``report.best`` names the best policy, ``report.warnings`` lists what limits the
-        answer, and ``report.to_html(path)`` writes a page for readers who did not run
-        it.
+        ``report.best`` is the name of the best of several policies, or None,
+        ``report.warnings`` lists what limits the answer, and ``report.to_html(path)``
+        writes a page for readers who did not run the evaluation.
 
     Raises
     ------
@@ -162,10 +167,10 @@ def evaluate(
 
     See Also
     --------
-    contest : Compare policies by off-environment evaluation alone.
-    evaluate_continuous : Evaluate policies of a task with continuous states.
-    inference.interval : Compute one interval, by any of four methods.
-    plan_data_collection : Choose what to record next.
+    oee_tabular.report.contest : Compare policies by off-environment evaluation alone.
+    oee_tabular.tasks.evaluate_continuous : Evaluate policies of continuous tasks.
+    oee_tabular.inference.interval : Compute one interval, by any of four methods.
+    oee_tabular.design.plan_data_collection : Choose what to record next.
 
     Notes
     -----
@@ -182,7 +187,7 @@ def evaluate(
     --------
     >>> import oee_tabular as oee
     >>> pair = oee.testing.case("ragged")
-    >>> # a simulator, and a log of 1000 transitions
+    >>> # a simulator, and a log of 1000 episodes
     >>> problem = pair.problem(1000, seed=0)
     >>> names = ["simulator", "wpdis"]
     >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)

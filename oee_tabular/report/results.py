@@ -432,7 +432,8 @@ class Report:
     def best(self) -> str | None:
         """Return the name of the policy that is worth most.
 
-        None where the log cannot say, or where several are worth the same.
+        The name is a str. It is None if there is only one policy, if the log cannot say
+        which is best, or if several are worth the same.
         """
         decision = self.uncertainty.decision
         return None if decision is None else decision.best
