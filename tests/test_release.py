@@ -112,3 +112,17 @@ def test_the_wheel_has_the_tables_that_notebooks_load():
         ValueError, match="name and table must be those of a saved table"
     ):
         load_saved_table("nothing")
+
+
+def test_hooks_and_workflow_run_what_the_checks_run():
+    run = (ROOT / ".ci" / "run").read_text()
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text()
+    entries = re.findall(r"entry: (.+)", hooks)
+    assert len(entries) == 4
+    assert [entry for entry in entries if f"\n{entry}" not in run] == []
+    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+    assert "- run: .ci/run" in workflow
+    named = [
+        line.rpartition(" ")[2] for line in PROJECT["classifiers"] if ":: 3." in line
+    ]
+    assert re.findall(r'"(3\.\d+)"', workflow) == named
