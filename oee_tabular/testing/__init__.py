@@ -1,5 +1,4 @@
-"""Tools for those who write estimators: laws that they must satisfy, exact comparisons,
-Hypothesis strategies.
+"""Laws that estimators must satisfy, exact comparisons, Hypothesis strategies.
 
 ``check_estimator`` runs an estimator through the ``laws`` on the pairs of ``cases``;
 ``compare_with_oracle`` shows its bias, variance and error beside exact limits and

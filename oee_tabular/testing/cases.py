@@ -1,9 +1,9 @@
 """The small pairs of environments that estimators are checked on, each known exactly.
 
-Target and simulator differ much (the simulator's value is off by many standard errors),
-with the same support and small integer probabilities; every behaviour policy takes
-every action, unless the case is about one that does not. The states lie on a line, in
-the order of their numbers (``layout``): renamed states keep their places.
+Target and simulator differ much (the simulator's value is off by many standard
+errors), with the same support and small integer probabilities. Every behaviour policy
+takes every action, unless the case is about one that does not. The states lie on a
+line, in the order of their numbers (``layout``): renamed states keep their places.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular.data import Transitions
@@ -23,20 +22,29 @@ from oee_tabular.exact import occupancy, policy_value
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate import sample_episodes
-from oee_tabular.typing import Array, IntArray, Seed
+from oee_tabular.typing import Array, IntArray, IntArrayLike, Seed
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A pair, a policy to evaluate, and how logs of the target are recorded.
+    """Hold a pair, a policy to evaluate, and how logs of the target are recorded.
 
     Attributes
     ----------
-    name : str, as in ``CASES``
-    simulator, target : FiniteMDP
-    policy, behavior : (S, A)
-    horizon : of the value; None: the infinite sum
-    steps : longest episode of a log (beyond the horizon in some cases)
+    name : str
+        The name, one of ``CASES``.
+    simulator : FiniteMDP
+        The simulator.
+    target : FiniteMDP
+        The target.
+    policy : ndarray of shape (S, A)
+        The policy to evaluate.
+    behavior : ndarray of shape (S, A)
+        The policy that records logs.
+    horizon : int or None
+        Number of rewards of the value; None means the infinite sum.
+    steps : int
+        Length of the longest episode of a log, in some cases beyond the horizon.
 
     Examples
     --------
@@ -55,27 +63,53 @@ class Case:
 
     @property
     def title(self) -> str:
-        """Its name, horizon and discount."""
+        """Return its name, horizon and discount as a text."""
         end = "no horizon" if self.horizon is None else f"horizon {self.horizon}"
         return f"{self.name} ({end}, discount {self.simulator.discount:g})"
 
     @property
     def truth(self) -> float:
-        """J of the policy in the target."""
+        """Return the exact value J of the policy in the target."""
         return policy_value(self.target, self.policy, horizon=self.horizon)
 
     @property
     def data_distribution(self) -> Array:
-        """(S, A): how the rows of a log are distributed."""
+        """Return the expected shares (S, A) of the state-action pairs in a log."""
         return pair_shares(self.target, self.behavior, self.steps)
 
     def log(self, n: int, *, seed: Seed) -> Transitions:
-        """``n`` episodes of the behaviour policy in the target."""
+        """Draw ``n`` episodes of the behaviour policy in the target.
+
+        Parameters
+        ----------
+        n : int
+            Number of episodes.
+        seed : Seed
+            What ``numpy.random.default_rng`` takes.
+
+        Returns
+        -------
+        Transitions
+            The log, with episodes and behaviour probabilities.
+        """
         return sample_episodes(self.target, self.behavior, n, self.steps, seed=seed)
 
     def logs(self, n: int, repetitions: int, *, seed: Seed) -> Iterator[Transitions]:
-        """``repetitions`` independent logs of ``n`` episodes (one after the other of a
-        single draw).
+        """Draw independent logs of ``n`` episodes each, one after the other.
+
+        Parameters
+        ----------
+        n : int
+            Number of episodes of each log.
+        repetitions : int
+            Number of logs, which are parts of a single draw.
+        seed : Seed
+            What ``numpy.random.default_rng`` takes.
+
+        Yields
+        ------
+        Transitions
+            The next log.
         """
         whole = self.log(n * repetitions, seed=seed)
         starts = whole.episode_starts
@@ -88,11 +122,35 @@ class Case:
             )
 
     def problem(self, n: int, *, seed: Seed) -> Problem:
-        """The problem of a log of ``n`` episodes."""
+        """Return the problem of a log of ``n`` episodes.
+
+        Parameters
+        ----------
+        n : int
+            Number of episodes.
+        seed : Seed
+            What ``numpy.random.default_rng`` takes.
+
+        Returns
+        -------
+        Problem
+            Simulator, log, horizon and behaviour policy.
+        """
         return self.problem_of(self.log(n, seed=seed))
 
     def problem_of(self, log: Transitions) -> Problem:
-        """The problem of a log, on copies of everything."""
+        """Return the problem of a log, on copies of everything.
+
+        Parameters
+        ----------
+        log : Transitions
+            A log of the target.
+
+        Returns
+        -------
+        Problem
+            Simulator, log, horizon and behaviour policy.
+        """
         simulator = copy.deepcopy(self.simulator)
         own_log = Transitions(**log.columns())
         return Problem(
@@ -103,7 +161,20 @@ class Case:
         )
 
     def with_rewards(self, scale: float, shift: float) -> Case:
-        """The same with rewards scale * r + shift, in every state."""
+        """Return the same case with rewards scale * r + shift, in every state.
+
+        Parameters
+        ----------
+        scale : float
+            Factor of every reward.
+        shift : float
+            Summand of every reward.
+
+        Returns
+        -------
+        Case
+            The case with other rewards in simulator and target.
+        """
         pair = []
         for mdp in (self.simulator, self.target):
             rewards: Any = scale * mdp.rewards + shift
@@ -113,9 +184,20 @@ class Case:
             pair.append(mdp.with_rewards(rewards))
         return replace(self, simulator=pair[0], target=pair[1])
 
-    def relabelled(self, states: ArrayLike, actions: ArrayLike) -> Case:
-        """The same with state s named ``states[s]`` and action a named ``actions[a]``,
-        two permutations.
+    def relabelled(self, states: IntArrayLike, actions: IntArrayLike) -> Case:
+        """Return the same case with states and actions renamed.
+
+        Parameters
+        ----------
+        states : array_like of int, shape (S,)
+            A permutation: state s becomes ``states[s]``.
+        actions : array_like of int, shape (A,)
+            A permutation: action a becomes ``actions[a]``.
+
+        Returns
+        -------
+        Case
+            The renamed case.
         """
         new_states = _permutation(states, "states", self.simulator.n_states)
         new_actions = _permutation(actions, "actions", self.simulator.n_actions)
@@ -133,8 +215,9 @@ class Case:
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
-    """(S, A): how the rows of episodes are distributed; an episode ends on arrival in
-    an absorbing state.
+    """Return the expected shares (S, A) of the state-action pairs of episodes.
+
+    An episode ends on arrival in an absorbing state.
     """
     time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
     alive = np.where(target.absorbing()[:, None], 0.0, time)
@@ -143,21 +226,29 @@ def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
 
 
 def relabelled_log(
-    log: Transitions, states: ArrayLike, actions: ArrayLike
+    log: Transitions, states: IntArrayLike, actions: IntArrayLike
 ) -> Transitions:
-    """The log of ``Case.relabelled``.
+    """Return a log with renamed states and actions, that of ``Case.relabelled``.
 
     Parameters
     ----------
-    log : Transitions, with any columns; states or actions that have names keep them, as
-        in a simulator that is relabelled
-    states, actions : (S,) and (A,) permutations: state s gets the number ``states[s]``,
-        action a ``actions[a]``
+    log : Transitions
+        A log with any columns. States or actions that have names keep them, as in a
+        simulator that is relabelled.
+    states : array_like of int, shape (S,)
+        A permutation: state s gets the number ``states[s]``.
+    actions : array_like of int, shape (A,)
+        A permutation: action a gets the number ``actions[a]``.
+
+    Returns
+    -------
+    Transitions
+        The renamed log.
 
     Raises
     ------
     ValueError
-        What is no permutation, or too short for the log.
+        If one is no permutation, or too short for the log.
 
     Examples
     --------
@@ -180,10 +271,8 @@ def relabelled_log(
     return Transitions(**columns)
 
 
-def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
-    """``value`` as an array; ValueError where it is no permutation, or of fewer than
-    ``most``.
-    """
+def _permutation(value: IntArrayLike, name: str, most: int) -> IntArray:
+    """Return ``value`` as an array of integers, checked to be a permutation."""
     array = _checks.as_array(value, name)
     if array.dtype.kind not in "iuf" or not np.array_equal(
         np.sort(array, axis=None), np.arange(len(array))
@@ -201,14 +290,26 @@ def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
 def padded_log(
     log: Transitions, actions: Sequence[int], probability: float
 ) -> Transitions:
-    """Further transitions in the absorbing state, with these actions, after every
-    episode that ended there.
+    """Add transitions in the absorbing state after every episode that ended there.
 
     Parameters
     ----------
-    log : Transitions, with episodes
-    actions : of the rows that are added to each such episode
-    probability : what the behaviour policy gives each of them
+    log : Transitions
+        A log with episodes.
+    actions : sequence of int
+        Actions of the rows that are added to each such episode.
+    probability : float
+        What the behaviour policy gives each of them.
+
+    Returns
+    -------
+    Transitions
+        The longer log.
+
+    Raises
+    ------
+    ValueError
+        If the log has no episodes.
 
     Examples
     --------
@@ -245,7 +346,7 @@ def padded_log(
 
 
 def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
-    """The MDP whose state s was ``old[0][s]``; names and places go with the states."""
+    """Return the MDP whose state s was ``old[0][s]``; names and places go along."""
     states, actions = (index.ravel() for index in old)
     rows = (old[0] * mdp.n_actions + old[1]).ravel()
     rewards: Any = mdp.rewards[old]
@@ -266,11 +367,10 @@ def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
 
 
 # ---- the cases
-# ----------------------------------------------------------------------------------------------------------
 
 
 class _Pair(NamedTuple):
-    """Tables of transitions in tenths; a state that they only lead to is absorbing."""
+    """Hold tables of transitions in tenths; a state that they only lead to absorbs."""
 
     simulator: Any
     target: Any
@@ -280,6 +380,7 @@ class _Pair(NamedTuple):
     behavior: Any
 
     def make(self, tenths: Any, discount: float) -> FiniteMDP:
+        """Return the MDP of a table of transitions in tenths."""
         transitions = np.array(tenths) / 10.0
         n, n_actions, n_states = transitions.shape
         absorbing = np.tile(np.eye(n_states)[n:, None], (1, n_actions, 1))
@@ -353,11 +454,23 @@ CASES = tuple(_MADE)
 
 
 def case(name: str) -> Case:
-    """The case of that name, made anew; "same NAME": with the target for the simulator.
+    """Return the case of a name, made anew.
 
     Parameters
     ----------
-    name : one of ``CASES``, or "same " and one of them
+    name : str
+        One of ``CASES``; or "same " and one of them, the case in which the simulator is
+        the target.
+
+    Returns
+    -------
+    Case
+        A pair of environments with a policy and how logs are recorded.
+
+    Raises
+    ------
+    ValueError
+        If there is no case of that name.
 
     Examples
     --------
@@ -384,8 +497,10 @@ def case(name: str) -> Case:
 
 
 def odd_cases() -> Iterator[Case]:
-    """One state, one action, discounts 0 and 1, one reward, nothing random, actions
-    that are never recorded.
+    """Yield small cases at the edges of what a problem can be.
+
+    They have one state, one action, discounts 0 and 1, one reward, nothing random, or
+    actions that are never recorded.
     """
     single = FiniteMDP([[[1.0]]], [2.0], [1.0], 0.5)
     # half the starts are terminal

@@ -1,5 +1,4 @@
-"""``check_estimator``: an estimator, ours or a user's, against the laws of estimators,
-with a verdict on each.
+"""Check an estimator, ours or a user's, against the laws of estimators.
 
 ``check_module`` is ``oee check module:object``: the laws in a process of their own,
 which may hang, exit or be killed. What happens to the process is a verdict like any
@@ -40,18 +39,18 @@ from oee_tabular.testing.subject import (
 
 @dataclass(frozen=True)
 class Law:
-    """A law: how it is checked, and who owes it (any of these claims; none: everybody)."""
+    """Hold how a law is checked, and which claims owe it; without claims everybody does."""
 
     check: Callable[[Subject], str]
     claims: frozenset[str]
 
     def is_claimed(self, claims: frozenset[str]) -> bool:
-        """Whether an estimator with these claims owes it."""
+        """Return whether an estimator with these claims owes the law."""
         return not self.claims or bool(self.claims & claims)
 
     @property
     def statement(self) -> str:
-        """What it says."""
+        """Return what the law says, the first paragraph of its check."""
         return (inspect.getdoc(self.check) or "").split("\n\n")[0]
 
 
@@ -87,33 +86,44 @@ def check_estimator(
     repetitions: int = 8,
     from_pair: bool = False,
 ) -> Verdicts:
-    """Run an estimator through the laws of estimators, on small pairs of environments
-    that are known exactly.
+    """Run an estimator through the laws of estimators.
+
+    They are checked on small pairs of environments that are known exactly.
 
     Parameters
     ----------
-    estimator : callable (problem, policy) or (problem, policy, seed) -> float or
-        ``Estimate``; a class or function that makes one without arguments
-    seed : int of at least 0; the logs of the statistical laws come from it
-    claims : words of ``CLAIMS``: which laws it should satisfy. None:
+    estimator : callable or estimator
+        A function (problem, policy) or (problem, policy, seed) that returns a float or
+        an ``Estimate``; or a class or function that makes one without arguments.
+    seed : int, default 0
+        An integer of at least 0, from which the logs of the statistical laws come.
+    claims : iterable of str, optional
+        Words of ``CLAIMS``, which say what laws it should satisfy. None means
         ``estimator.claims``, a collection of words or a method that returns one;
-        without it ``DEFAULT`` (consistent, relabelling, scale)
-    laws : names in ``LAWS``; None: all
-    repetitions : logs of each statistical comparison, at least 3
-    from_pair : for oracles: ``estimator`` is a function (simulator, target) ->
-        estimator
+        without it ``DEFAULT`` (consistent, relabelling, scale).
+    laws : iterable of str, optional
+        Names in ``LAWS``; None means all.
+    repetitions : int, default 8
+        Logs of each statistical comparison, at least 3.
+    from_pair : bool, default False
+        Whether ``estimator`` is a function (simulator, target) -> estimator, as for
+        oracles.
 
     Returns
     -------
     Verdicts
-        ``passed``, ``broken``, ``verdicts[law]``; prints as a table. "holds" and
-        "fails" come with their numbers, "raises" with the error, "not claimed" laws are
-        not run.
+        ``passed``, ``broken`` and ``verdicts[law]``; it prints as a table. "holds" and
+        "fails" come with their numbers, "raises" with the error; laws that are "not
+        claimed" are not run.
 
     Raises
     ------
     ValueError
-        Arguments that are wrong. What the estimator does wrong is a verdict.
+        If an argument is wrong. What the estimator does wrong is a verdict.
+
+    See Also
+    --------
+    compare_with_oracle : Bias, variance and error of an estimator as numbers.
 
     Notes
     -----
@@ -150,7 +160,7 @@ def check_estimator(
 
 
 def check_numbers(seed: object, repetitions: object) -> None:
-    """ValueError where they are not what ``check_estimator`` takes."""
+    """Refuse a seed or a number of repetitions that ``check_estimator`` cannot take."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ArgumentError(
             "seed", f"must be an integer of at least 0; got {_checks.show(seed)}"
@@ -167,7 +177,7 @@ def make_subject(
     claims: Iterable[str] | None = None,
     from_pair: bool = False,
 ) -> Subject:
-    """What the laws are checked on; ValueError where it is no estimator."""
+    """Return what the laws are checked on; refuse what is no estimator."""
     given = estimator
     if from_pair:
         _checks.function(estimator, "estimator")
@@ -193,7 +203,7 @@ def make_subject(
 
 
 def check_law(name: str, subject: Subject) -> Verdict:
-    """The verdict on one law."""
+    """Return the verdict on one law."""
     if not LAWS[name].is_claimed(subject.claims):
         return Verdict(name, "not claimed", "")
     try:
@@ -215,27 +225,34 @@ MOST_HANGS = 3  # laws that may hang before the rest is left
 def check_module(
     spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0
 ) -> Verdicts:
-    """Import an estimator, from the current directory or what is installed, in a
-    process of its own, and check it there.
+    """Import an estimator and check it, in a process of its own.
 
-    A law that ends the process, or takes longer than ``timeout`` seconds, is broken;
-    another process goes on with the next law, until three laws have hung: the others
-    are then "not run".
+    It is imported from the current directory or from what is installed. A law that ends
+    the process, or takes longer than ``timeout`` seconds, is broken; another process
+    goes on with the next law, until three laws have hung: the others are then "not run".
 
     Parameters
     ----------
-    spec : "module:object"; the object is an estimator, a function (problem, policy[,
-        seed]), or what makes one of these without arguments
-    seed, repetitions : as in ``check_estimator``
-    timeout : seconds that a law may take, and the import; an estimator that takes
-        longer, or ends its process, breaks the law
+    spec : str
+        "module:object"; the object is an estimator, a function (problem, policy) or
+        (problem, policy, seed), or what makes one of these without arguments.
+    seed : int, default 0
+        As in ``check_estimator``.
+    repetitions : int, default 8
+        As in ``check_estimator``.
+    timeout : float, default 60.0
+        Seconds that a law may take, and the import.
+
+    Returns
+    -------
+    Verdicts
+        A verdict for each law.
 
     Raises
     ------
     ValueError
-        A spec of another form, no such module or object, a module that cannot be
-        imported, or ends the process or takes longer when it is, an object that is no
-        estimator.
+        If the spec has another form, the module cannot be imported (or ends the process
+        or takes longer when it is), or the object is no estimator.
     """
     check_numbers(seed, repetitions)
     seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
@@ -273,7 +290,7 @@ def check_module(
 
 
 class Ended(Exception):
-    """The process gives no answer: an outcome, "exits" or "hangs", and how."""
+    """Report a process that gives no answer: an outcome, "exits" or "hangs", and how."""
 
     def __init__(self, outcome: str, text: str) -> None:
         super().__init__(text)
@@ -285,8 +302,10 @@ class Ended(Exception):
 def _process(
     spec: str, seed: int, repetitions: int, laws: list[str]
 ) -> Iterator[Callable[[float], Any]]:
-    """A process that checks the laws, as a function: seconds -> its next answer, or
-    ``Ended``. It is killed on leaving.
+    """Start a process that checks the laws; yield a function that waits for answers.
+
+    The function takes seconds and returns the next answer, or raises ``Ended``. The
+    process is killed on leaving.
     """
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
@@ -330,6 +349,7 @@ def _process(
 
 
 def _describe_end(code: int | None) -> str:
+    """Return how a process has ended, in words."""
     if code is None:
         return "the process closes its connection"
     if code >= 0:
@@ -342,8 +362,10 @@ def _describe_end(code: int | None) -> str:
 def _run(
     answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]
 ) -> None:
-    """What the process does: it says that it is ready, what the estimator is or why
-    there is none, and each verdict.
+    """Check the laws inside the process, and send what is found.
+
+    It sends that it is ready, what the estimator is (or why there is none), and each
+    verdict.
     """
     if hasattr(os, "setsid"):
         os.setsid()  # a group, with what the estimator starts
@@ -368,7 +390,8 @@ def _run(
 
 
 def own_estimator(spec: str) -> Any:
-    """The estimator of "module:object", or what a class or function there makes without
-    arguments.
+    """Return the estimator of "module:object".
+
+    A class or function there that makes one without arguments is called.
     """
     return as_estimator(own_object(spec, "the estimator", EXAMPLE), repr(spec)).function

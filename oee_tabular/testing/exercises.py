@@ -1,5 +1,6 @@
-"""Answers to the exercises of the notebooks: ``check("05_b", answer)`` is exercise b of
-notebook 05.
+"""Answers to the exercises of the notebooks.
+
+``check("05_b", answer)`` looks at exercise b of notebook 05.
 """
 
 import tomllib
@@ -21,14 +22,17 @@ def check(exercise: str, answer: Any) -> None:
 
     Parameters
     ----------
-    exercise : the notebook's number and the exercise's letter, as in "05_b"
-    answer : a number, a list of numbers, or True or False; None if there is no answer
-        yet
+    exercise : str
+        The notebook's number and the exercise's letter, as in "05_b".
+    answer : float, list of float, bool, or None
+        Your answer; None if there is none yet.
 
     Raises
     ------
     AssertionError
-        The answer is wrong; the message has a hint.
+        If the answer is wrong; the message has a hint.
+    ValueError
+        If there is no such exercise.
 
     Examples
     --------

@@ -82,7 +82,7 @@ def well_formed(subject: Subject) -> str:
 
 
 def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
-    """Logs of the odd cases; of others one episode, or no episodes."""
+    """Yield logs of the odd cases; of others one episode, or no episodes."""
     for k, pair in enumerate(odd_cases()):
         yield pair, pair.log(ODD_EPISODES, seed=subject.log_seed("odd", k))
     for pair in subject.cases("ragged", "ragged infinite"):
@@ -123,6 +123,7 @@ def input_unchanged(subject: Subject, pair: Case) -> str:
 
 
 def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the data of every array that an estimator is given."""
     simulator = problem.simulator
     yield "policy", policy
     yield "problem.behavior_policy", problem.behavior_policy
@@ -168,8 +169,9 @@ def reproducible(subject: Subject, pair: Case) -> str:
 def _estimate_in_state(
     subject: Subject, pair: Case, log: Transitions, state: int
 ) -> Estimate:
-    """An estimate of seed 7 under a global random state of ours, or ``Broken`` where it
-    has changed that.
+    """Return an estimate of seed 7 under a global random state of ours.
+
+    ``Broken`` is raised where the estimator has changed that state.
     """
     estimator = as_estimator(subject.estimator(pair))
     states = []
@@ -226,7 +228,7 @@ def support(subject: Subject, pair: Case) -> str:
 
 
 def _check_oracle(subject: Subject, pair: Case) -> str:
-    """An estimator made for the violating pair, on a log without violation."""
+    """Check an estimator made for the violating pair, on a log without violation."""
     inside = replace(pair, target=pair.simulator)
     log = inside.log(PROTOCOL_EPISODES, seed=subject.log_seed("support"))
     try:
@@ -240,7 +242,7 @@ def _check_oracle(subject: Subject, pair: Case) -> str:
 
 
 def _require_status(estimate: Estimate, pair: Case) -> None:
-    """``Broken`` where a value other than J_target has the status "ok"."""
+    """Raise ``Broken`` where a value other than J_target has the status "ok"."""
     if estimate.status == "ok" and abs(estimate.value - pair.truth) > 1e-8 * max(
         1.0, abs(pair.truth)
     ):
@@ -395,10 +397,10 @@ def after_end(subject: Subject, pair: Case) -> str:
 
 
 # ---- does the mean of an estimator's values tend to a number?
-# ----------------------------------------------------------
 
 
 def _tends_to_truth(subject: Subject, pair: Case) -> str:
+    """Check that limit and values tend to J_target."""
     for data in ({}, _data(pair)):
         own = subject.limit(pair, **data)
         if own is not None:
@@ -411,6 +413,7 @@ def _tends_to_truth(subject: Subject, pair: Case) -> str:
 
 
 def _data(pair: Case) -> dict[str, Any]:
+    """Return what a limit may depend on beside the pair and the policy."""
     return {
         "behavior_policy": pair.behavior.copy(),
         "data_distribution": pair.data_distribution,
@@ -418,7 +421,7 @@ def _data(pair: Case) -> dict[str, Any]:
 
 
 def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
-    """A sentence with the numbers, or ``Broken``.
+    """Return a sentence with the numbers, or raise ``Broken``.
 
     The mean over the large logs may be off by chance, and by a third of what 16 times
     as many episodes changed it: a bias of order n^-1/2 changes by three times what is
@@ -451,7 +454,7 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
 def _draw_values(
     subject: Subject, pair: Case, n: int, repetitions: int, first_seed: int
 ) -> Array:
-    """Values of independent logs of ``n`` episodes; small logs may have none."""
+    """Return values of independent logs of ``n`` episodes; small logs may have none."""
     values = []
     for k, log in enumerate(
         pair.logs(n, repetitions, seed=subject.log_seed(pair.name, n))
@@ -467,18 +470,17 @@ def _draw_values(
 
 
 def _chance(error: float, n: int) -> float:
-    """How far the mean of ``n`` values may be off by chance."""
+    """Return how far the mean of ``n`` values may be off by chance."""
     return float(stdtrit(n - 1, 1.0 - FAILURE_CHANCE / 2)) * error
 
 
 # ---- two estimates
-# -----------------------------------------------------------------------------------------------------
 
 
 def _equals(
     value: float, expected: float, before: float, what: str, example: str
 ) -> str:
-    """``Broken`` where two numbers differ by more than rounding."""
+    """Raise ``Broken`` where two numbers differ by more than rounding."""
     distance = abs(value - expected)
     if not distance <= 1e-8 * max(1.0, abs(expected)):
         raise Broken(
@@ -491,9 +493,7 @@ def _equals(
 
 
 def _have_same_mean(first: Array, second: Array, what: str, example: str) -> str:
-    """``Broken`` where the means of two samples of one size differ by more than chance
-    allows.
-    """
+    """Raise ``Broken`` where two samples' means differ by more than chance allows."""
     n = len(first)
     allowed = (
         _chance(float(np.sqrt((first.var(ddof=1) + second.var(ddof=1)) / n)), n) + 1e-9
@@ -510,7 +510,7 @@ def _have_same_mean(first: Array, second: Array, what: str, example: str) -> str
 def _compare_rewards(
     subject: Subject, pair: Case, n: int, factor: float, added: float
 ) -> str:
-    """Rewards factor * r + added give factor * J + added * sum_t gamma^t."""
+    """Check that rewards factor * r + added give factor * J + added * sum_t gamma^t."""
     log = pair.log(n, seed=subject.log_seed("rewards", pair.name))
     columns = log.columns()
     gamma = pair.simulator.discount
@@ -530,6 +530,7 @@ def _compare_rewards(
 def _compare_padding(
     subject: Subject, pair: Case, actions: tuple[int, ...], probability: float
 ) -> str:
+    """Check that rows in an absorbing state after an episode's end change nothing."""
     log = pair.log(EPISODES, seed=subject.log_seed("padding", pair.name))
     before = subject.value(pair, log)
     after = subject.value(pair, padded_log(log, actions, probability))

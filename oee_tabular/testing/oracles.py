@@ -1,6 +1,4 @@
-"""An estimator beside what is known exactly: its bias, variance and error over many
-logs, its limit, the efficiency bound.
-"""
+"""An estimator over many logs, beside its exact limit and the efficiency bound."""
 
 from __future__ import annotations
 
@@ -8,10 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
@@ -31,23 +28,36 @@ from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.cases import pair_shares
 from oee_tabular.testing.subject import name_of
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
 @dataclass(frozen=True, eq=False)
 class OracleComparison:
-    """What repetitions of an estimator gave, beside what is exact; prints as a table.
+    """Hold what repetitions of an estimator gave, beside what is exact.
+
+    It prints as a table.
 
     Attributes
     ----------
-    estimator : its name
-    truth : J_target
-    limit : the estimator's own exact limit, or None
-    bound : the efficiency bound: n times the least asymptotic variance (inf where the
-        data leave something out)
-    n, unit : size of each log, in "episodes" or "transitions"
-    values : (R,) of the repetitions whose status is "ok"
-    failures, reasons : how many others there were, and the first one's status
+    estimator : str
+        Name of the estimator.
+    truth : float
+        J_target, the exact value of the policy in the target.
+    limit : float or None
+        The estimator's own exact limit.
+    bound : float
+        The efficiency bound: n times the least asymptotic variance; inf where the data
+        leave something out.
+    n : int
+        Size of each log.
+    unit : str
+        What n counts, "episodes" or "transitions".
+    values : ndarray of shape (R,)
+        Values of the repetitions whose status is "ok".
+    failures : int
+        Number of the other repetitions.
+    reasons : str
+        Status of the first of them.
 
     Examples
     --------
@@ -68,23 +78,24 @@ class OracleComparison:
 
     @property
     def bias(self) -> float:
-        """Mean error over the repetitions."""
+        """Return the mean error over the repetitions."""
         return float(self.values.mean()) - self.truth if len(self.values) else math.nan
 
     @property
     def bias_error(self) -> float:
-        """Standard error of ``bias``."""
+        """Return the standard error of ``bias``."""
         return math.sqrt(self.variance / max(len(self.values), 1))
 
     @property
     def variance(self) -> float:
-        """Variance over the repetitions."""
+        """Return the variance over the repetitions."""
         return float(self.values.var(ddof=1)) if len(self.values) > 1 else math.nan
 
     @property
     def variance_error(self) -> float:
-        """Standard error of ``variance``: sqrt((m4 - (R - 3) / (R - 1) s^4) / R), m4
-        the fourth central moment.
+        """Return the standard error of ``variance``.
+
+        It is sqrt((m4 - (R - 3) / (R - 1) s^4) / R) with m4 the fourth central moment.
         """
         n = len(self.values)
         if n < 4:
@@ -94,16 +105,14 @@ class OracleComparison:
 
     @property
     def rmse(self) -> float:
-        """Root of the mean squared error."""
-        return (
-            float(np.sqrt(np.mean((self.values - self.truth) ** 2)))
-            if len(self.values)
-            else math.nan
-        )
+        """Return the root of the mean squared error."""
+        if not len(self.values):
+            return math.nan
+        return float(np.sqrt(np.mean((self.values - self.truth) ** 2)))
 
     @property
     def rmse_error(self) -> float:
-        """Standard error of ``rmse`` (delta method)."""
+        """Return the standard error of ``rmse`` by the delta method."""
         n = len(self.values)
         if n < 2 or self.rmse == 0.0:
             return math.nan if n < 2 else 0.0
@@ -115,27 +124,22 @@ class OracleComparison:
 
     @property
     def inefficiency(self) -> float:
-        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the
-        bound is 0 or infinite.
+        """Return n * variance / bound, which tends to 1 for an efficient estimator.
 
-        With ``behavior_policy`` the bound is that of time-indexed dynamics and starts
-        that are estimated, too: an estimator that knows the dynamics to be stationary
-        can be below it.
+        It is nan where the bound is 0 or infinite. With ``behavior_policy`` the bound is
+        that of time-indexed dynamics and starts that are estimated, too: an estimator
+        that knows the dynamics to be stationary can be below it.
         """
-        return (
-            self.n * self.variance / self.bound
-            if 0.0 < self.bound < math.inf
-            else math.nan
-        )
+        if not 0.0 < self.bound < math.inf:
+            return math.nan
+        return self.n * self.variance / self.bound
 
     @property
     def inefficiency_error(self) -> float:
-        """Standard error of ``inefficiency``."""
-        return (
-            self.n * self.variance_error / self.bound
-            if 0.0 < self.bound < math.inf
-            else math.nan
-        )
+        """Return the standard error of ``inefficiency``."""
+        if not 0.0 < self.bound < math.inf:
+            return math.nan
+        return self.n * self.variance_error / self.bound
 
     def __str__(self) -> str:
         lines = [f"{self.estimator}: {len(self.values)} logs of {self.n} {self.unit}"]
@@ -171,43 +175,58 @@ def compare_with_oracle(
     *,
     n: int,
     behavior_policy: PolicyLike | None = None,
-    data_distribution: ArrayLike | None = None,
+    data_distribution: RealArrayLike | None = None,
     repetitions: int = 200,
     seed: int = 0,
     horizon: int | None = None,
 ) -> OracleComparison:
-    """Run an estimator on independent logs of the target, and put it beside what is
-    known exactly.
+    """Run an estimator on independent logs and put it beside what is exact.
 
     Parameters
     ----------
-    estimator : what ``check_estimator`` takes, with ``limit`` if it has one
-    pair : (simulator, target)
-    policy : (S, A)
-    n : size of each log, in episodes or transitions
-    behavior_policy : (S, A): logs are ``n`` episodes of it, to the horizon (None: until
-        discount^t < 1e-12)
-    data_distribution : (S, A): logs are ``n`` independent transitions from it; one of
-        the two must be given
-    repetitions : at least 2
-    seed : int; repetition k has the log of SeedSequence(seed, spawn_key=(k,)) and the
-        estimator seed k
-    horizon : of the value; None: the infinite sum
+    estimator : callable or estimator
+        What ``check_estimator`` takes, with a ``limit`` if it has one.
+    pair : tuple of two FiniteMDP
+        The simulator and the target.
+    policy : PolicyLike
+        The policy to evaluate.
+    n : int
+        Size of each log, in episodes or transitions.
+    behavior_policy : PolicyLike, optional
+        The policy that records: logs are ``n`` episodes of it, to the horizon (without
+        one until discount^t < 1e-12).
+    data_distribution : RealArrayLike of shape (S, A), optional
+        Shares of the state-action pairs: logs are ``n`` independent transitions drawn
+        from it. Exactly one of the two must be given.
+    repetitions : int, default 200
+        Number of logs, at least 2.
+    seed : int, default 0
+        Repetition k has the log of SeedSequence(seed, spawn_key=(k,)), and the
+        estimator seed k.
+    horizon : int, optional
+        Number of rewards of the value; None means the infinite sum.
 
     Returns
     -------
     OracleComparison
         Bias, variance and root-mean-square error with their Monte Carlo standard
-        errors, J_target, the estimator's limit, and the bound: for episodes
-        ``trajectory_efficiency_bound``, which includes the chance of the first state
-        and takes time as part of the state, so that an estimator that knows the initial
-        distribution or pools the steps may be below it; for transitions
-        ``efficiency_bound``.
+        errors, J_target, the estimator's limit, and the bound.
 
     Raises
     ------
     ValueError
-        Bad arguments, and whatever the estimator raises.
+        If an argument is wrong; and whatever the estimator raises.
+
+    See Also
+    --------
+    check_estimator : Laws instead of numbers.
+
+    Notes
+    -----
+    For episodes the bound is ``trajectory_efficiency_bound``, which includes the chance
+    of the first state and takes time as part of the state, so that an estimator that
+    knows the initial distribution or pools the steps may be below it. For transitions
+    it is ``efficiency_bound``.
 
     Examples
     --------
@@ -235,58 +254,83 @@ def compare_with_oracle(
     _checks.require_memory(4.0 * times, "repetitions", times)
     if (behavior_policy is None) == (data_distribution is None):
         raise ValueError("one of behavior_policy and data_distribution must be given")
-    behavior: Array | None = None
+    source = _make_source(
+        simulator, target, pi, size, behavior_policy, data_distribution, horizon
+    )
+    values = []
+    statuses = []
+    for k in range(times):
+        log = source.draw(seed=_checks.seed_sequence(seed, (k,)))
+        problem = Problem(
+            simulator, log, horizon=horizon, behavior_policy=source.behavior
+        )
+        estimate = own(problem, pi.copy(), seed=k)
+        if estimate.status == "ok":
+            values.append(float(estimate.value))
+        else:
+            statuses.append(estimate.status)
+    limit = getattr(own.function, "limit", None)
+    if limit is not None:
+        limit = float(limit(simulator, target, pi, horizon=horizon, **source.data))
+    return OracleComparison(
+        estimator=name_of(own.function),
+        truth=policy_value(target, pi, horizon=horizon),
+        limit=limit,
+        bound=source.bound,
+        n=size,
+        unit="transitions" if source.behavior is None else "episodes",
+        values=np.array(values),
+        failures=len(statuses),
+        reasons=statuses[0] if statuses else "",
+    )
+
+
+class _Source(NamedTuple):
+    """How logs are drawn, and what is exact about them."""
+
     draw: Callable[..., Transitions]
+    bound: float
+    behavior: Array | None
+    data: dict[str, Array]
+
+
+def _make_source(
+    simulator: FiniteMDP,
+    target: FiniteMDP,
+    policy: Array,
+    n: int,
+    behavior_policy: PolicyLike | None,
+    data_distribution: RealArrayLike | None,
+    horizon: int | None,
+) -> _Source:
+    """Return how logs of size ``n`` are drawn: as transitions, or as episodes."""
     if behavior_policy is None:
         share = _checks.distribution(
             data_distribution,
             "data_distribution",
             (simulator.n_states, simulator.n_actions),
         )
-        draw = partial(sample_transitions, target, share, size)
-        bound = efficiency_bound(target, pi, share, horizon=horizon)
-        data = {"data_distribution": share}
-    else:
-        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(
-            target.discount, optional_horizon_length(horizon, target)
+        return _Source(
+            partial(sample_transitions, target, share, n),
+            efficiency_bound(target, policy, share, horizon=horizon),
+            None,
+            {"data_distribution": share},
         )
-        draw = partial(sample_episodes, target, behavior, size, steps)
-        try:
-            bound = trajectory_efficiency_bound(target, behavior, pi, horizon=steps)
-        except ValueError:
-            if not np.any((pi > 0) & (behavior == 0)):
-                raise
-            # the behaviour policy never takes an action that the policy takes
-            bound = math.inf
-        data = {
+    behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+    steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
+    try:
+        bound = trajectory_efficiency_bound(target, behavior, policy, horizon=steps)
+    except ValueError:
+        if not np.any((policy > 0) & (behavior == 0)):
+            raise
+        # the behaviour policy never takes an action that the policy takes
+        bound = math.inf
+    return _Source(
+        partial(sample_episodes, target, behavior, n, steps),
+        bound,
+        behavior,
+        {
             "data_distribution": pair_shares(target, behavior, steps),
             "behavior_policy": behavior,
-        }
-    values = []
-    statuses = []
-    for k in range(times):
-        log = draw(seed=_checks.seed_sequence(seed, (k,)))
-        estimate = own(
-            Problem(simulator, log, horizon=horizon, behavior_policy=behavior),
-            pi.copy(),
-            seed=k,
-        )
-        values += [float(estimate.value)] if estimate.status == "ok" else []
-        statuses += [estimate.status] if estimate.status != "ok" else []
-    limit = getattr(own.function, "limit", None)
-    return OracleComparison(
-        estimator=name_of(own.function),
-        truth=policy_value(target, pi, horizon=horizon),
-        limit=(
-            None
-            if limit is None
-            else float(limit(simulator, target, pi, horizon=horizon, **data))
-        ),
-        bound=bound,
-        n=size,
-        unit="transitions" if behavior is None else "episodes",
-        values=np.array(values),
-        failures=len(statuses),
-        reasons=statuses[0] if statuses else "",
+        },
     )

@@ -1,5 +1,4 @@
-"""Hypothesis strategies of finite MDPs, policies, pairs of environments, horizons and
-logs.
+"""Hypothesis strategies of finite MDPs, policies, pairs, horizons and logs.
 
 Everything is made of small integers: probabilities are small weights over their sum,
 with exact zeros and many ties; rewards are integers from -5 to 5. Examples shrink
@@ -13,7 +12,7 @@ Needs hypothesis: ``pip install '.[testing]'``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, IntArray, PolicyLike
 
 try:
     from hypothesis import strategies as st
@@ -34,7 +33,7 @@ except ImportError as error:  # pragma: no cover (tested in a process without it
 
 # of which probabilities are made; the first is what they shrink to
 WEIGHTS = (1, 0, 2, 0, 0, 5)
-REWARDS = ("s", "sa", "sas")
+REWARDS: tuple[Literal["s", "sa", "sas"], ...] = ("s", "sa", "sas")
 KINDS = ("episodes", "transitions")
 SUPPORTS = ("equal", "inside", "violated")
 
@@ -46,24 +45,42 @@ def mdps(
     max_states: int = 5,
     max_actions: int = 3,
     discounts: Sequence[float] = (0.0, 0.5, 0.9, 1.0),
-    rewards: Sequence[str] = REWARDS,
+    rewards: Sequence[Literal["s", "sa", "sas"]] = REWARDS,
     absorbing: bool | None = None,
 ) -> st.SearchStrategy[FiniteMDP]:
-    """Finite MDPs.
+    """Draw finite MDPs.
 
     Parameters
     ----------
-    min_states, max_states, max_actions : sizes, from 1
-    discounts : to draw from
-    rewards : forms to draw from: "s", "sa", "sas" for r(s), r(s, a), r(s, a, s')
-        (defined for every s')
-    absorbing : whether the last state is absorbing with reward 0; None: either. At
-        discount 1 it always is, and every row reaches it with positive probability
+    min_states : int, default 1
+        Least number of states, from 1.
+    max_states : int, default 5
+        Largest number of states.
+    max_actions : int, default 3
+        Largest number of actions.
+    discounts : sequence of float, default (0.0, 0.5, 0.9, 1.0)
+        Discounts to draw from.
+    rewards : sequence of {"s", "sa", "sas"}
+        Forms of rewards to draw from: r(s), r(s, a), or r(s, a, s'), which is defined
+        for every s'.
+    absorbing : bool, optional
+        Whether the last state is absorbing with reward 0; None means either. At discount
+        1 it always is, and every row reaches it with positive probability.
+
+    Returns
+    -------
+    hypothesis.strategies.SearchStrategy
+        Draws a ``FiniteMDP``.
 
     Raises
     ------
     ValueError
-        Sizes below 1 or in the wrong order, discounts outside [0, 1], unknown forms.
+        If sizes are below 1 or in the wrong order, a discount is outside [0, 1], or a
+        form is unknown.
+
+    See Also
+    --------
+    mdp_pairs : Draws a simulator and a target.
 
     Examples
     --------
@@ -116,12 +133,19 @@ def mdps(
 
 @suggest_keywords
 def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
-    """(S, A) policies of an MDP.
+    """Draw policies of an MDP.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    zeros : False: every action has a chance in every state
+        The model whose states and actions they have.
+    zeros : bool, default True
+        False gives every action a chance in every state.
+
+    Returns
+    -------
+    hypothesis.strategies.SearchStrategy
+        Draws an array of shape (S, A) whose rows sum to 1.
 
     Examples
     --------
@@ -142,22 +166,50 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
 
 
 def mdp_pairs(
-    *, support: Literal["equal", "inside", "violated"] = "equal", **options: Any
+    *,
+    support: Literal["equal", "inside", "violated"] = "equal",
+    min_states: int | None = None,
+    max_states: int = 5,
+    max_actions: int = 3,
+    discounts: Sequence[float] = (0.0, 0.5, 0.9, 1.0),
+    rewards: Sequence[Literal["s", "sa", "sas"]] = REWARDS,
+    absorbing: bool | None = None,
 ) -> st.SearchStrategy[tuple[FiniteMDP, FiniteMDP]]:
-    """Pairs (simulator, target) that differ in their transitions alone.
+    """Draw pairs (simulator, target) that differ in their transitions alone.
 
     Parameters
     ----------
-    support : "equal": target and simulator have one support; "inside": the target's
-        lies in the simulator's (a ratio exists); "violated": from some state that an
-        episode may begin in, some action takes the target to where the simulator has
-        probability 0
-    options : as in ``mdps``; for "violated" at least 2 states
+    support : {"equal", "inside", "violated"}, default "equal"
+        With "equal" target and simulator have one support. With "inside" the target's
+        lies in the simulator's, so that a ratio exists. With "violated" some action, in
+        some state that an episode may begin in, takes the target to where the simulator
+        has probability 0.
+    min_states : int, optional
+        Least number of states; None means 1, and 2 for "violated".
+    max_states : int, default 5
+        Largest number of states.
+    max_actions : int, default 3
+        Largest number of actions.
+    discounts : sequence of float, default (0.0, 0.5, 0.9, 1.0)
+        Discounts to draw from.
+    rewards : sequence of {"s", "sa", "sas"}
+        Forms of rewards to draw from, as in ``mdps``.
+    absorbing : bool, optional
+        Whether the last state is absorbing, as in ``mdps``.
+
+    Returns
+    -------
+    hypothesis.strategies.SearchStrategy
+        Draws a pair of ``FiniteMDP``.
 
     Raises
     ------
     ValueError
-        As ``mdps``; an unknown support.
+        If ``mdps`` raises one, or the support is unknown.
+
+    See Also
+    --------
+    mdps : Draws a single model.
 
     Examples
     --------
@@ -169,13 +221,20 @@ def mdp_pairs(
     >>> law()
     """
     _checks.one_of(support, "support", SUPPORTS)
-    if support == "violated":
-        options = {"min_states": 2} | options
-        if _checks.positive_integer(options["min_states"], "min_states") < 2:
-            raise ArgumentError(
-                "min_states", "must be at least 2 for support 'violated'; it is 1"
-            )
-    simulators = mdps(**options)
+    if min_states is None:
+        min_states = 2 if support == "violated" else 1
+    if support == "violated" and _checks.positive_integer(min_states, "min_states") < 2:
+        raise ArgumentError(
+            "min_states", "must be at least 2 for support 'violated'; it is 1"
+        )
+    simulators = mdps(
+        min_states=min_states,
+        max_states=max_states,
+        max_actions=max_actions,
+        discounts=discounts,
+        rewards=rewards,
+        absorbing=absorbing,
+    )
 
     @st.composite
     def draw_pair(draw: st.DrawFn) -> tuple[FiniteMDP, FiniteMDP]:
@@ -213,13 +272,20 @@ def mdp_pairs(
 
 @suggest_keywords
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
-    """Horizons from 1, and None where the infinite sum exists for every policy
-    (discount below 1, or all of ``mdps``).
+    """Draw horizons from 1, and None where the infinite sum exists.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    max_horizon : the largest, a positive int
+        None is drawn where the infinite sum exists for every policy of it: at a discount
+        below 1, and for all that ``mdps`` draws.
+    max_horizon : int, default 6
+        The largest horizon.
+
+    Returns
+    -------
+    hypothesis.strategies.SearchStrategy
+        Draws an int or None.
 
     Examples
     --------
@@ -249,18 +315,36 @@ def logs(
     max_steps: int = 5,
     rewards: bool = True,
 ) -> st.SearchStrategy[Transitions]:
-    """Logs of ``mdp``: any transitions that it can make, whatever their probability.
+    """Draw logs of an MDP: any transitions that it can make, whatever their probability.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    kind : "episodes": ragged, from the initial distribution's support, terminated on
-        arrival in an absorbing state, truncated otherwise; "transitions": a bag of
-        transitions from anywhere; None: either
-    behavior_policy : (S, A) whose actions are taken and whose probabilities are
-        recorded; None: uniform
-    max_episodes, max_steps : sizes, from 1 (a bag has at most their product of rows)
-    rewards : whether rewards are recorded
+        The model that makes the transitions.
+    kind : {"episodes", "transitions"} or None, default "episodes"
+        With "episodes" a log has ragged episodes from the initial distribution's
+        support, terminated on arrival in an absorbing state and truncated otherwise.
+        With "transitions" it is a bag of transitions from anywhere. None means either.
+    behavior_policy : PolicyLike, optional
+        The policy whose actions are taken and whose probabilities are recorded; None
+        means the uniform one.
+    max_episodes : int, default 4
+        Largest number of episodes, from 1.
+    max_steps : int, default 5
+        Largest number of transitions of an episode, from 1; a bag has at most
+        max_episodes * max_steps rows.
+    rewards : bool, default True
+        Whether rewards are recorded.
+
+    Returns
+    -------
+    hypothesis.strategies.SearchStrategy
+        Draws a ``Transitions``.
+
+    Raises
+    ------
+    ValueError
+        If a size is below 1, or the kind is unknown.
 
     Examples
     --------
@@ -276,30 +360,23 @@ def logs(
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     if kind is not None:
         _checks.one_of(kind, "kind", KINDS)
-    even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
-    behavior = (
-        even
-        if behavior_policy is None
-        else check_policy(behavior_policy, model, name="behavior_policy")
-    )
+    behavior = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
+    if behavior_policy is not None:
+        behavior = check_policy(behavior_policy, model, name="behavior_policy")
     n = _checks.positive_integer(max_episodes, "max_episodes")
     steps = _checks.positive_integer(max_steps, "max_steps")
     ended = model.absorbing()
 
     @st.composite
     def draw_log(draw: st.DrawFn) -> Transitions:
-        is_bag = (
-            draw(st.sampled_from(KINDS) if kind is None else st.just(kind))
-            == "transitions"
-        )
-        starts = (
-            list(range(model.n_states))
-            if is_bag
-            else np.flatnonzero(model.initial).tolist()
-        )
+        kinds = KINDS if kind is None else (kind,)
+        is_bag = draw(st.sampled_from(kinds)) == "transitions"
+        starts = np.arange(model.n_states)
+        if not is_bag:
+            starts = np.flatnonzero(model.initial)
         made = []
         for k in range(draw(st.integers(1, n * steps if is_bag else n))):
-            state = draw(st.sampled_from(starts))
+            state = draw(st.sampled_from(starts.tolist()))
             for _ in range(1 if is_bag else draw(st.integers(1, steps))):
                 action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
                 row = model.transitions[[state * model.n_actions + action]]
@@ -309,14 +386,9 @@ def logs(
                 if ended[state]:
                     break
         states, actions, next_states, episode = np.array(made).T
-        reward = model.rewards[states, actions]
-        if model.transition_rewards is not None:
-            reward = model.transition_rewards.toarray()[
-                states * model.n_actions + actions, next_states
-            ]
-        columns = {"behavior_probability": behavior[states, actions]} | (
-            {"reward": reward} if rewards else {}
-        )
+        columns = {"behavior_probability": behavior[states, actions]}
+        if rewards:
+            columns["reward"] = _rewards_of(model, states, actions, next_states)
         if not is_bag:
             columns |= {"episode": episode, "terminated": ended[next_states]}
         return Transitions(states, actions, next_states, **columns)
@@ -324,8 +396,18 @@ def logs(
     return draw_log()
 
 
+def _rewards_of(
+    model: FiniteMDP, states: IntArray, actions: IntArray, next_states: IntArray
+) -> Array:
+    """Return the reward of each transition."""
+    if model.transition_rewards is None:
+        return np.asarray(model.rewards[states, actions])
+    rows = states * model.n_actions + actions
+    return np.asarray(model.transition_rewards.toarray()[rows, next_states])
+
+
 def _rows(size: int, certain: Iterable[int] = ()) -> st.SearchStrategy[Array]:
-    """Distributions of small weights; the entries in ``certain`` are positive."""
+    """Draw distributions of small weights; the entries in ``certain`` are positive."""
 
     def normalize(drawn: list[int]) -> Array:
         weights = np.array(drawn, dtype=np.float64)

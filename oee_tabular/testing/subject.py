@@ -1,5 +1,6 @@
-"""The estimator under check: what it claims, its verdicts; every call of it becomes a
-value or a ``Broken``, never a crash.
+"""The estimator under check: what it claims, and its verdicts.
+
+Every call of it becomes a value or a ``Broken``, never a crash.
 """
 
 from __future__ import annotations
@@ -64,20 +65,27 @@ DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
 @suggest_keywords
 def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
-    """What an estimator claims: the words that say which laws it owes.
+    """Return what an estimator claims: the words that say which laws it owes.
 
     ``claims``, else the estimator's own ``claims`` (a collection of words, or a method
     that returns one), else ``DEFAULT``.
 
     Parameters
     ----------
-    estimator : any object
-    claims : words of ``CLAIMS``, or None
+    estimator : object
+        Any object.
+    claims : iterable of str, optional
+        Words of ``CLAIMS``.
+
+    Returns
+    -------
+    frozenset of str
+        Words of ``CLAIMS``.
 
     Raises
     ------
     ValueError
-        A word that is none of ``CLAIMS`` (with the nearest one).
+        If a word is none of ``CLAIMS``; the error names the nearest one.
 
     Examples
     --------
@@ -111,15 +119,19 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome of one law.
+    """Hold the outcome of one law.
 
     Attributes
     ----------
-    law : its name, a key of ``LAWS``
-    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits"
-        (the process ended), "hangs" and "not run" (after three laws that hang)
-    text : the numbers found
-    example : how to see it again
+    law : str
+        Name of the law, a key of ``LAWS``.
+    outcome : str
+        "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the
+        process ended), "hangs" and "not run" (after three laws that hang).
+    text : str
+        The numbers found.
+    example : str
+        How to see it again.
 
     Examples
     --------
@@ -138,14 +150,20 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Verdicts(Mapping[str, Verdict]):
-    """A verdict for each law; prints as a table, ``verdicts["shift"]`` is one of them.
+    """Hold a verdict for each law; it prints as a table.
+
+    ``verdicts["shift"]`` is one of them.
 
     Attributes
     ----------
-    estimator : its name
-    claims : the words by which laws were chosen
-    seed : of the logs
-    verdicts : law -> Verdict
+    estimator : str
+        Name of the estimator.
+    claims : frozenset of str
+        The words by which laws were chosen.
+    seed : int
+        Seed of the logs.
+    verdicts : mapping of str to Verdict
+        The verdict on each law, by its name.
 
     Examples
     --------
@@ -163,12 +181,12 @@ class Verdicts(Mapping[str, Verdict]):
 
     @property
     def passed(self) -> bool:
-        """Whether every law that is owed or claimed holds."""
+        """Return whether every law that is owed or claimed holds."""
         return not self.broken
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """The laws that do not hold though they are owed or claimed."""
+        """Return the laws that do not hold though they are owed or claimed."""
         kept = ("holds", "not claimed", "not run")
         return tuple(
             law for law, verdict in self.verdicts.items() if verdict.outcome not in kept
@@ -176,9 +194,7 @@ class Verdicts(Mapping[str, Verdict]):
 
     @property
     def conclusion(self) -> str:
-        """Which laws are broken; else that all hold, and what others claim by default
-        and this one does not.
-        """
+        """Return which laws are broken, or what all laws that hold leave open."""
         if self.broken:
             return f"broken laws: {', '.join(self.broken)}"
         if left := sorted(DEFAULT - self.claims):
@@ -208,11 +224,9 @@ class Verdicts(Mapping[str, Verdict]):
         ]
         lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
         for verdict in self.verdicts.values():
-            example = (
-                f"see it: {verdict.example}"
-                if verdict.example and verdict.outcome != "holds"
-                else ""
-            )
+            example = ""
+            if verdict.example and verdict.outcome != "holds":
+                example = f"see it: {verdict.example}"
             body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
             lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
             lines += [" " * 28 + line for line in body[1:-1]]
@@ -225,7 +239,7 @@ class Verdicts(Mapping[str, Verdict]):
 
 
 class Broken(Exception):
-    """A law that does not hold: the numbers, and how to see it again."""
+    """Report a law that does not hold: the numbers, and how to see it again."""
 
     outcome = "fails"
 
@@ -236,35 +250,48 @@ class Broken(Exception):
 
 
 class Raises(Broken):
-    """The estimator raised an error."""
+    """Report that the estimator raised an error."""
 
     outcome = "raises"
 
 
 class Refused(Raises):
-    """The estimator raised a ValueError: it may have a right to."""
+    """Report that the estimator raised a ValueError, to which it may have a right."""
 
 
 class NotClaimed(Broken):
-    """The law says nothing about this estimator."""
+    """Report that the law says nothing about this estimator."""
 
     outcome = "not claimed"
 
 
+def ignore(title: str) -> None:
+    """Do nothing with the title of a case."""
+
+
 @dataclass(frozen=True)
 class Subject:
-    """The estimator under check.
+    """Hold the estimator under check.
 
     Attributes
     ----------
-    name : what tables call it
-    make : (simulator, target) -> estimator; gives the same one for every pair unless it
-        is an oracle's
-    claims : words of ``CLAIMS``
-    seed, repetitions : of the logs that the statistical laws draw
-    is_oracle : whether ``make`` looks at the pair
-    report : is told each case before it is looked at
-    values : of small and of large logs, which several laws need, by case
+    name : str
+        What tables call it.
+    make : callable
+        Function (simulator, target) -> estimator; it gives the same one for every pair
+        unless it is an oracle's.
+    claims : frozenset of str
+        Words of ``CLAIMS``.
+    seed : int
+        Seed of the logs that the statistical laws draw.
+    repetitions : int
+        Number of these logs.
+    is_oracle : bool
+        Whether ``make`` looks at the pair.
+    report : callable
+        Function that is told each case before it is looked at.
+    values : dict
+        Values of small and of large logs by case, which several laws need.
     """
 
     name: str
@@ -273,12 +300,14 @@ class Subject:
     seed: int
     repetitions: int
     is_oracle: bool = False
-    report: Callable[[str], object] = lambda title: None
+    report: Callable[[str], object] = ignore
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def cases(self, *names: str) -> list[Case]:
-        """The cases, each without its horizon (or with it) where the estimator claims
-        to answer only those.
+        """Return the cases, in the form that the estimator claims to answer.
+
+        Each comes without its horizon (or with it) where the estimator claims to answer
+        only those.
         """
         # claiming neither is claiming both
         asked = self.claims & {"finite", "infinite"}
@@ -289,7 +318,7 @@ class Subject:
 
     @contextmanager
     def look_at(self, pair: Case, more: str = "", example: str = "") -> Iterator[None]:
-        """``Broken`` says on which case, with its horizon and discount."""
+        """Report the case, and let a ``Broken`` name it."""
         self.report(pair.title)
         try:
             yield
@@ -302,20 +331,22 @@ class Subject:
             ) from broken
 
     def log_seed(self, *words: object) -> np.random.SeedSequence:
-        """The seed of a log, by a law's name, a case's name or a size."""
+        """Return the seed of a log, by a law's name, a case's name or a size."""
         key = [zlib.crc32(str(word).encode()) for word in words]
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
     def estimator(self, pair: Case) -> Any:
-        """The estimator for a pair, made on copies of it."""
+        """Return the estimator for a pair, made on copies of it."""
         with capture_errors("making the estimator"):
             return self.make(copy.deepcopy(pair.simulator), copy.deepcopy(pair.target))
 
     def estimate(
         self, pair: Case, log: Transitions, seed: int, *, rollouts: int = 0
     ) -> Estimate:
-        """One well-formed estimate, or ``Broken``; ``rollouts``: at least so many, for
-        an estimator that has such a field.
+        """Return one well-formed estimate, or raise ``Broken``.
+
+        ``rollouts`` is how many there are at least, for an estimator that has such a
+        field.
         """
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
@@ -329,7 +360,7 @@ class Subject:
     def value(
         self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int = 0
     ) -> float:
-        """The value of one estimate; ``Broken`` where its status is not "ok"."""
+        """Return the value of one estimate; raise ``Broken`` if its status is not "ok"."""
         estimate = self.estimate(pair, log, seed, rollouts=rollouts)
         if estimate.status != "ok":
             raise Broken(
@@ -338,7 +369,7 @@ class Subject:
         return float(estimate.value)
 
     def limit(self, pair: Case, **data: object) -> float | None:
-        """Its own limit; None where it has none to tell."""
+        """Return the estimator's own limit; None if it has none to tell."""
         estimator = self.estimator(pair)
         with capture_errors("estimator.limit"):
             method = getattr(estimator, "limit", None)
@@ -358,7 +389,10 @@ class Subject:
 def on_cases(
     *names: str,
 ) -> Callable[[Callable[[Subject, Case], str]], Callable[[Subject], str]]:
-    """A law that is checked on each of these cases, and says what it found on each."""
+    """Make a law of a check that runs on each of these cases.
+
+    The law says what the check found on each.
+    """
 
     def repeat(check: Callable[[Subject, Case], str]) -> Callable[[Subject], str]:
         @wraps(check)
@@ -375,7 +409,7 @@ def on_cases(
 
 
 def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate:
-    """``estimator(problem, policy, seed=seed)``, well-formed, or ``Broken``."""
+    """Return ``estimator(problem, policy, seed=seed)``, or raise ``Broken``."""
     with capture_errors(f"estimator(problem, policy, seed={seed})"):
         estimate = as_estimator(estimator)(problem, policy, seed=seed)
         defect = find_defect(estimate)
@@ -385,7 +419,7 @@ def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate
 
 
 def find_defect(estimate: Any) -> str:
-    """What is wrong with an estimate, whose fields may hold anything; or nothing."""
+    """Return what is wrong with an estimate, whose fields may hold anything."""
     value = estimate.value
     error = estimate.standard_error
     interval = estimate.interval
@@ -409,18 +443,18 @@ def find_defect(estimate: Any) -> str:
             "interval must be None or (lower, upper) with lower <= upper; it is"
             f" {interval!r}"
         )
-    is_fine = isinstance(estimate.diagnostics, dict)
-    return (
-        ""
-        if is_fine
-        else f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
-    )
+    if not isinstance(estimate.diagnostics, Mapping):
+        return (
+            f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
+        )
+    return ""
 
 
 @contextmanager
 def capture_errors(what: str) -> Iterator[None]:
-    """Errors of the estimator's become ``Broken``; its warnings are not shown, its
-    global random state is put back.
+    """Turn the estimator's errors into ``Broken``.
+
+    Its warnings are not shown, and its global random state is put back.
     """
     state, numpy_state = (
         random.getstate(),
@@ -446,19 +480,18 @@ def capture_errors(what: str) -> Iterator[None]:
 
 
 def shorten(text: str, length: int = 160) -> str:
-    """One line of at most so many characters."""
+    """Return one line of at most so many characters."""
     line = " ".join(text.split())
     return line if len(line) <= length else line[: length - 3] + "..."
 
 
 def name_of(estimator: object) -> str:
-    """What to call an estimator in a table: a function's name, a representation that
-    says something, or the class's name.
+    """Return what to call an estimator in a table.
+
+    It is a function's name, a representation that says something, or the class's name.
     """
     name = getattr(estimator, "__name__", "")
     text = repr(estimator)
-    return (
-        str(name or type(estimator).__name__)
-        if name or text.startswith("<") or len(text) > 100
-        else text
-    )
+    if name or text.startswith("<") or len(text) > 100:
+        return str(name or type(estimator).__name__)
+    return text
