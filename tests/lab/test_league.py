@@ -3,6 +3,7 @@ and pictures.
 """
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,16 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from oee_tabular.lab.bench.league import ERRORS, floor, league_of
+from oee_tabular.lab.bench.league import (
+    ERRORS,
+    EXPLAINED,
+    floor,
+    geometric_mean,
+    league_of,
+    league_of_cells,
+)
 
+RESULTS = Path(__file__).parents[2] / "notebooks" / "results"
 ML = "maximum-likelihood"
 SIM = "simulator"
 FACTS = {
@@ -154,6 +163,39 @@ def test_zero_errors_are_no_nan():
     assert cell(found, "a", 3)["ratio"] == 1.0
     assert math.isinf(cell(found, "a", 3, "other")["ratio"])
     assert str(found)
+
+
+def test_a_mean_is_empty_where_an_estimator_is_exactly_right_in_a_cell():
+    assert math.isnan(geometric_mean(pd.Series([0.0, 2.0])))
+    assert math.isnan(geometric_mean(pd.Series([], dtype=float)))
+    assert geometric_mean(pd.Series([4.0, math.nan, 1.0])) == pytest.approx(2.0)
+    found = league(
+        rows("a", 3, {ML: [1, 1], SIM: [0, 0], "mine": [1, 1]}),
+        rows("b", 3, {ML: [1, 1], SIM: [3, 3], "mine": [1, 1]}),
+    )
+    means = ["over reference", "over likelihood", "over eff"]
+    assert row(found, SIM)[means].isna().all()
+    assert row(found)[means].notna().all()
+    assert row(found, SIM)["worst"] == 3.0
+    page = found.page({}, "")
+    assert "| over reference | 4.472 |  | 4.472 |" in page
+    assert "A mean is empty where the estimator is exactly right in a cell." in page
+
+
+@pytest.mark.parametrize("run", ["bench", "bench_intervals"])
+def test_the_saved_leagues_are_those_of_their_saved_cells(run):
+    saved = pd.read_csv(RESULTS / run / "league.csv")
+    made = league_of_cells(pd.read_csv(RESULTS / run / "cells.csv"))
+    assert list(made.columns) == list(saved.columns)
+    for name in saved.columns:
+        if saved[name].dtype.kind in "if":
+            assert_allclose(made[name], saved[name], rtol=2e-5, err_msg=name)
+        else:
+            assert made[name].tolist() == saved[name].fillna("").tolist()
+    page = (RESULTS / run / "league.md").read_text()
+    assert EXPLAINED in page
+    simulator = saved.query("estimator == 'simulator' and families == 'tuned'")
+    assert simulator["over reference"].isna().all()
 
 
 def test_coverage_counts_large_logs_that_hold_the_policys_time():

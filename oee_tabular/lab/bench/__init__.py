@@ -1,10 +1,11 @@
-"""A benchmark of estimators of a policy's value in a target environment, on families of
-shift where the truth is exact.
+"""Benchmark of estimators of a policy's value where the truth is exact.
 
-``run`` (and ``oee bench``) takes the cells family x size, a seed each repetition,
-through the lab's runner. Estimators and families are given by name, as MODULE:OBJECT or
-as objects. A ``Family`` is a pair of environments; ``families`` has the package's by
-name; ``league_of`` makes the ``League`` of a run's rows.
+``run`` (and ``oee bench``) measures estimators on families of environment shift. Its
+cells are the products of families and sizes of the log; a repetition of a cell is
+another seed. They go through the lab's runner. Estimators and families are given by
+name, as MODULE:OBJECT or as objects. A ``Family`` is a pair of environments;
+``families`` has the package's own by name; ``league_of`` makes the ``League`` of a
+run's rows.
 """
 
 from __future__ import annotations
@@ -81,48 +82,65 @@ def run(
 ) -> League:
     """Measure estimators on families of environment shift where the truth is exact.
 
-    Each cell is a family and a size of its logs; each seed of a cell another log (and,
-    where a family has random parts, another pair). Two references are always measured
-    on the same logs: maximum likelihood with the simulator in unobserved pairs, and the
-    simulator's value.
+    Each cell is a family and a size of its logs. Each seed of a cell gives another log
+    (and, where a family has random parts, another pair of environments). Two references
+    are always measured on the same logs: maximum likelihood with the simulator in
+    unobserved pairs, and the simulator's value.
 
     Parameters
     ----------
-    estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and
-        interval that ``oee.evaluate`` prints), "scope-rl:NAME", "offline-rl-ope:NAME",
-        "module:object", estimators; one or several, or a mapping name -> one of these
-    families : None (``families()``), names of its, "module:function", a function of the
-        seed (or without parameters) that makes a mapping name -> Family, or such a
-        mapping
-    sizes : transitions per stochastic state-action pair (one with more than one next
-        state in the simulator)
-    seeds : logs of each cell
-    seed : the first one, from 0; a seed's rows are the same in any run
-    timeout : seconds that an estimate may take; one that takes longer is a row with
-        that reason (not on Windows, nor on dask)
-    jobs : processes on this machine; -1: one a core
-    dask : address of a dask scheduler; the cells go there instead
-    output : folder that keeps finished cells: an interrupted run goes on; None: nothing
-        is kept
-    fresh : empty the folder first
-    progress : whether a bar is shown
+    estimators : str, callable, sequence of these, or mapping of str to these
+        Names as in ``oee evaluate --estimators``, "evaluate" (the value and interval
+        that ``oee.evaluate`` prints), "scope-rl:NAME", "offline-rl-ope:NAME",
+        "module:object", or estimators. A mapping gives each of them the name of its
+        row.
+    families : str, sequence of str, mapping or callable, optional
+        Names among ``families()``, "module:function", a mapping name -> Family, or a
+        function of the seed (or without parameters) that makes such a mapping. None
+        means all of ``families()``.
+    sizes : float or iterable of float, optional
+        Transitions per stochastic state-action pair (one with more than one next state
+        in the simulator).
+    seeds : int, default 40
+        Number of logs of each cell.
+    seed : int, default 0
+        The first seed, from 0. The rows of a seed are the same in any run.
+    timeout : float, default 600.0
+        Seconds that an estimate may take. One that takes longer is a row with that
+        reason (not on Windows, nor on dask).
+    jobs : int, default 1
+        Number of processes on this machine; -1 means one a core.
+    dask : str, optional
+        Address of a dask scheduler; the cells go there instead.
+    output : str or path, optional
+        Folder that keeps finished cells, so that an interrupted run goes on. None keeps
+        nothing.
+    fresh : bool, default False
+        Whether the folder is emptied first.
+    progress : bool, default False
+        Whether a progress bar is shown.
 
     Returns
     -------
     League
-        ``table`` (a row for each seed), ``cells`` (over the seeds), ``league`` (over
-        the cells).
+        Its ``table`` has a row for each seed, ``cells`` is taken over the seeds and
+        ``league`` over the cells.
 
     Raises
     ------
     ValueError
-        Bad arguments; a family that cannot be made. What an estimator raises is a row
-        with its reason.
+        If an argument is bad or a family cannot be made. What an estimator raises is a
+        row with its reason.
+
+    See Also
+    --------
+    league_of : The league of rows that were computed before.
+    families : The families by name.
 
     Notes
     -----
-    Cost: families x sizes x seeds x the estimators' time. The same bits in every mode,
-    but for ``seconds`` (process time).
+    The cost is families x sizes x seeds x the estimators' time. Every mode gives the same
+    bits, but for ``seconds`` (process time).
 
     Examples
     --------
@@ -162,8 +180,9 @@ def plan(
     seed: int = 0,
     timeout: float = TIMEOUT,
 ) -> RunSettings:
-    """Check the arguments of ``run`` and make every family once: settings of an
-    experiment of the lab's kind.
+    """Check the arguments of ``run`` and return them as settings of an experiment.
+
+    Every family is made once, so that a bad one is reported before the run begins.
     """
     count = _checks.positive_integer(seeds, "seeds")
     first = check_seed(seed)
@@ -223,8 +242,9 @@ def measure_cell(
     source: Any,
     timeout: float,
 ) -> list[Row]:
-    """One seed of family x size, every estimator on its log; the seed of the family is
-    the run's first plus the repetition.
+    """Measure every estimator on the log of one seed of a family and a size.
+
+    The seed of the family is the run's first seed plus the repetition.
     """
     seed = stream.seed + int(cell["repetition"])
     name = str(cell["family"])
@@ -246,8 +266,10 @@ def measure_cell(
 
 
 def facts_of(family: Family, problem: Problem) -> Row:
-    """What is known exactly about a log: truth, the share of the policy's time that it
-    covers, efficiency bound / n.
+    """Compute what is known exactly about a log.
+
+    These are the truth, the share of the policy's time that the log covers, and the
+    efficiency bound / n.
     """
     n = len(problem.log)
     horizon = family.horizon
@@ -280,10 +302,11 @@ def measure(
     seed: int,
     timeout: float,
 ) -> Row:
-    """What one estimator gives on one log: value, error, interval, seconds, status;
-    what it raises is its status.
+    """Measure what one estimator gives on one log.
 
-    The interval is the reported one, else value +- 1.96 standard errors, else none.
+    The row has its value, error, interval, seconds and status; an exception is its
+    status. The interval is the reported one, else value +- 1.96 standard errors, else
+    none.
     """
     row: Row = dict.fromkeys(
         ("value", "error", "standard_error", "lower", "upper", "interval", "seconds"),
@@ -335,7 +358,7 @@ def measure(
 
 
 def split(text: str) -> list[str]:
-    """The words between commas."""
+    """Return the words between commas."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
@@ -343,8 +366,9 @@ def split(text: str) -> list[str]:
 
 
 def choose_estimators(given: Any) -> dict[str, Any]:
-    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError
-    for one that is none.
+    """Return name -> name or estimator of what ``run`` takes, each looked up once.
+
+    Raises ValueError for what is no estimator.
     """
     if isinstance(given, str):
         given = split(given)
@@ -391,7 +415,10 @@ def choose_estimators(given: Any) -> dict[str, Any]:
 
 
 def estimator_of(name: str, given: Any, family: Family) -> Any:
-    """The estimator of that name on a family; an oracle is told its target."""
+    """Return the estimator of a name on a family.
+
+    An oracle is told the family's target.
+    """
     if name in REFERENCES or not isinstance(given, str):
         return REFERENCES.get(name, given)
     if given in estimator_names(needs_target=True):
@@ -401,7 +428,7 @@ def estimator_of(name: str, given: Any, family: Family) -> Any:
 
 @functools.lru_cache(maxsize=64)
 def look_up_estimator(spec: str) -> Any:
-    """The estimator of a name, of PEER:NAME or of MODULE:OBJECT."""
+    """Return the estimator of a name, of PEER:NAME or of MODULE:OBJECT."""
     module, _, name = spec.partition(":")
     if module in PEERS:
         peer = Peer(module, name)
@@ -420,7 +447,7 @@ def look_up_estimator(spec: str) -> Any:
 def evaluate_as_printed(
     problem: Problem, policy: PolicyLike, *, seed: Seed = None
 ) -> Estimate:
-    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
+    """Return the value of ``oee`` and the interval that ``oee.evaluate`` prints."""
     from oee_tabular.report import evaluate
 
     report = evaluate(
@@ -433,14 +460,15 @@ def evaluate_as_printed(
 
 
 def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
-    """The source of what a user gave, and the names; every family of the first seed is
-    made: a bad one is told at once.
+    """Return the source of what a user gave, and the names of its families.
+
+    Every family of the first seed is made, so that a bad one is reported at once.
 
     Raises
     ------
     ValueError
-        An unknown name; what is no mapping of families; a family that cannot be made
-        (its name and why).
+        If a name is unknown, what is given is no mapping of families, or a family
+        cannot be made (its name and why).
     """
     if isinstance(given, str) and ":" not in given:
         given = split(given)
@@ -458,7 +486,10 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
 
 
 def find_family(source: Any, name: str, seed: int) -> Family:
-    """One family; ValueError where it is missing, is no Family or cannot be made."""
+    """Return one family of a source at a seed.
+
+    Raises ValueError where it is missing, is no Family or cannot be made.
+    """
     every = families_at(source, seed)
     if name not in every:
         missing = (
@@ -476,7 +507,10 @@ def find_family(source: Any, name: str, seed: int) -> Family:
 
 
 def families_at(source: Any, seed: int) -> Mapping[str, Family]:
-    """The families of one seed; those that have a name are made once a process."""
+    """Return the families of one seed.
+
+    Those that are given by name are made once a process.
+    """
     if source is None or isinstance(source, str):
         return _named_families(source, seed)
     if not isinstance(source, Mapping):
@@ -494,6 +528,7 @@ def families_at(source: Any, seed: int) -> Mapping[str, Family]:
 
 @functools.lru_cache(maxsize=128)
 def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
+    """Return the package's families, or those of MODULE:OBJECT, at a seed."""
     if spec is None:
         return families(seed, large=True)
     with own_modules():
@@ -503,8 +538,9 @@ def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
 
 
 def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
-    """The modules that hold a user's own objects: their files are part of what the
-    results depend on.
+    """Return the modules that hold a user's own objects.
+
+    Their files are part of what the results depend on.
     """
     modules = set()
     for item in objects:
@@ -532,8 +568,10 @@ def bench(
     say: Callable[[str], None],
     **options: Any,
 ) -> None:
-    """One run; bad arguments, families that cannot be made and folders with other
-    settings are refused before it begins.
+    """Do one run of ``oee bench`` and write its files.
+
+    Bad arguments, families that cannot be made and folders with other settings are
+    refused before it begins.
     """
     _files.local(output)
     try:
@@ -567,6 +605,7 @@ def bench(
     ]
 
     def write(store: Store) -> None:
+        """Write the league of the finished cells and print it."""
         league = league_of(store.table().drop(columns="repetition"))
         about = {
             name: find_family(source, name, seed).about

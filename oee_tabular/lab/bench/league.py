@@ -1,9 +1,9 @@
-"""From the rows of a run to numbers of each cell (family x size x estimator), and to
-the league of the estimators.
+"""League of the estimators, from the rows of a run.
 
-A cell's reference is max(min(RMSE of maximum likelihood, RMSE of the simulator), eff /
-2) on the same logs, with eff = sqrt(efficiency bound / n). A ratio is *surely* above
-1.1 where the 5% quantile of its paired bootstrap over the seeds is.
+The rows give numbers of each cell (family x size x estimator), and the cells give the
+league. A cell's reference is max(min(RMSE of maximum likelihood, RMSE of the
+simulator), eff / 2) on the same logs, with eff = sqrt(efficiency bound / n). A ratio
+is *surely* above 1.1 where the 5% quantile of its paired bootstrap over the seeds is.
 
 No estimator can know the reference, and none can reach it everywhere; ``floor`` says
 how near a rule can come that sees the value alone. Let x be the maximum-likelihood
@@ -21,6 +21,7 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,9 @@ from oee_tabular import _files
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
-from oee_tabular.typing import Array, BoolArray
+from oee_tabular.typing import Array, BoolArray, RealArrayLike
 
-# the references
+# The references, which are always measured.
 LIKELIHOOD = "maximum-likelihood"
 SIMULATOR = "simulator"
 # a ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff)
@@ -94,14 +95,17 @@ NORMAL = 1.959963984540054
 
 
 def wide(
-    frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator"
+    frame: pd.DataFrame,
+    index: str | list[str],
+    values: str,
+    columns: str | list[str] = "estimator",
 ) -> pd.DataFrame:
-    """A column for each estimator, or for each value of other ``columns``."""
+    """Pivot a table to a column for each estimator, or each value of ``columns``."""
     return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
 
 
-def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
-    """One row for each estimator of a cell."""
+def _cell_rows(key: tuple[str, float], part: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return one row for each estimator of a cell."""
     family, size = key
     errors = wide(part, ["seed"], "error")
     first = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
@@ -132,8 +136,10 @@ def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _ratios(squares: Array, eff: Array) -> dict[str, float]:
-    """RMSE of all three, their ratios, the 5% bootstrap quantile of the first, the
-    floor at the simulator's error.
+    """Compute the RMSE of an estimator and of both references, and their ratios.
+
+    ``squares`` (3, seeds) are squared errors. ``low`` is the 5% bootstrap quantile of
+    the estimator's ratio, ``floor`` the floor at the simulator's error.
     """
     n = squares.shape[1]
     mean_eff = math.sqrt(float(np.mean(eff**2)))
@@ -156,15 +162,16 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
 
 
 def _divide(own: Array, reference: Array) -> Array:
-    """own / reference; 1 where both are 0."""
+    """Divide own by reference, with the ratio 1 where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where((own == 0) & (reference == 0), 1.0, own / reference))
 
 
 @functools.lru_cache(maxsize=8)
 def resamples(seeds: int) -> Array:
-    """(resamples, seeds): shares of the seeds in each bootstrap sample, the same for
-    every cell of as many seeds.
+    """Return the shares of the seeds in each bootstrap sample, (resamples, seeds).
+
+    They are the same for every cell of as many seeds.
     """
     drawn = np.random.default_rng(seeds).multinomial(
         seeds, np.full(seeds, 1 / seeds), size=N_RESAMPLES
@@ -175,8 +182,10 @@ def resamples(seeds: int) -> Array:
 def _intervals(
     mine: pd.DataFrame, eff: Array, is_counted: BoolArray
 ) -> dict[str, float]:
-    """Of the reported interval and of value +- 1.96 standard errors: logs that count,
-    those covered, width / (2 * 1.96 eff).
+    """Count the logs whose intervals cover the truth, and measure the widths.
+
+    Both the reported interval and value +- 1.96 standard errors have the number of logs
+    that count, how many of them cover the truth, and the median width / (2 * 1.96 eff).
     """
     half = NORMAL * mine["standard_error"]
     numbers = dict[str, float]()
@@ -186,21 +195,26 @@ def _intervals(
     }
     for prefix, (lower, upper) in ends.items():
         here = is_counted & np.isfinite(lower) & np.isfinite(upper)
-        relative = ((upper - lower) / (2.0 * NORMAL * eff))[
-            here & (eff > 0) & np.isfinite(eff)
-        ]
+        is_measured = here & (eff > 0) & np.isfinite(eff)
+        relative = ((upper - lower) / (2.0 * NORMAL * eff))[is_measured]
+        covers = here & mine["truth"].between(lower, upper)
         numbers[f"{prefix}logs"] = int(here.sum())
-        numbers[f"{prefix}held"] = int(
-            (here & mine["truth"].between(lower, upper)).sum()
-        )
+        numbers[f"{prefix}held"] = int(covers.sum())
         numbers[f"{prefix}width"] = float(relative.dropna().median())
     return numbers
 
 
 def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
-    """One estimator over the cells of one kind of families."""
+    """Summarize one estimator over the cells of one kind of families."""
     known = cells[cells["ratio"].notna()]
-    worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
+    worst = None
+    if len(known):
+        worst = known.iloc[int(known["ratio"].to_numpy().argmax())]
+    worst_ratio = math.nan
+    worst_cell = ""
+    if worst is not None:
+        worst_ratio = float(worst["ratio"])
+        worst_cell = f"{worst['family']} at {worst['size']:g}"
     sums = cells[["logs", "held", "se_logs", "se_held"]].sum()
     by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
     share = (by["held"] / by["logs"])[by["logs"] >= FEW]
@@ -210,10 +224,8 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "cells": len(cells),
         "over reference": geometric_mean(known["ratio"]),
         "floor": geometric_mean(known["floor"]),
-        "worst": math.nan if worst is None else float(worst["ratio"]),
-        "worst cell": (
-            "" if worst is None else f"{worst['family']} at {worst['size']:g}"
-        ),
+        "worst": worst_ratio,
+        "worst cell": worst_cell,
         "surely above 1.1": float((known["low"] > LIMIT).mean()),
         "over likelihood": geometric_mean(known["over_likelihood"]),
         "over eff": geometric_mean(known["over_eff"]),
@@ -229,9 +241,10 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def floor(error: Array) -> Array:
-    """The ratio of the best rule where the simulator's error is ``error`` times eff;
-    from 5 on that of 5.
+def floor(error: RealArrayLike) -> Array:
+    """Return the ratio of the best rule where the simulator's error is ``error`` eff.
+
+    From 5 on it is that of 5.
 
     Examples
     --------
@@ -241,10 +254,16 @@ def floor(error: Array) -> Array:
     return np.asarray(np.interp(np.abs(error), ERRORS, RATIOS))
 
 
-def geometric_mean(values: Any) -> float:
-    """exp(mean log), of those that are numbers; nan without any."""
-    with np.errstate(divide="ignore"):
-        return float(np.exp(np.log(pd.Series(values, dtype=float)).mean()))
+def geometric_mean(values: pd.Series[float]) -> float:
+    """Compute exp(mean log) of the values that are numbers.
+
+    It is nan without any, and where one of them is 0: such a mean would be 0 whatever
+    the others are.
+    """
+    numbers = pd.Series(values, dtype=float)
+    if (numbers == 0).any():
+        return math.nan
+    return float(np.exp(np.log(numbers).mean()))
 
 
 SHARES = ("surely above 1.1", "coverage", "its coverage", "coverage of 1.96 se")
@@ -266,21 +285,29 @@ EXPLAINED = (
     " `width`: of the reported interval, over logs of at least 3 transitions per"
     " stochastic pair that cover more than 90% of the policy's time; widths are over 2"
     " x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. `seconds`: processor"
-    " time of one log. Tuned families are those on which a constant of the default was"
-    " chosen."
+    " time of one log. A mean is empty where the estimator is exactly right in a cell."
+    " Tuned families are those on which a constant of the default was chosen."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class League:
-    """The results of a run.
+    """Results of a run of the benchmark.
+
+    ``str`` shows the league table, what it means, and why estimators had no value.
 
     Attributes
     ----------
-    table : DataFrame, a row for each family, size, seed and estimator
-    cells : DataFrame, a row for each family, size and estimator, over the seeds
-    league : DataFrame, a row for each estimator and kind of families ("tuned", "held"),
-        over the cells
+    table : DataFrame
+        A row for each family, size, seed and estimator.
+    cells : DataFrame
+        A row for each family, size and estimator, over the seeds.
+    league : DataFrame
+        A row for each estimator and kind of families ("tuned", "held"), over the cells.
+
+    See Also
+    --------
+    run : Measures estimators and returns a league.
 
     Examples
     --------
@@ -295,13 +322,14 @@ class League:
     league: pd.DataFrame
 
     def __repr__(self) -> str:
+        """Return the numbers of estimators, cells and rows."""
         return (
             f"League({len(self.league)} estimators, {len(self.cells)} cells,"
             f" {len(self.table)} rows)"
         )
 
     def __str__(self) -> str:
-        """The league table, what it means, and why estimators had no value."""
+        """Return the league table, what it means, and why values are missing."""
         league = self.league.astype(object)
         for column in league.columns[2:]:
             form = "{:.0%}" if column in SHARES else "{:.3g}"
@@ -310,21 +338,21 @@ class League:
                 for x in league[column]
             )
             league[column] = np.where(league[column].isna(), "", list(texts))
-        tables = [
-            f"{kind}"
-            f" families\n{part.drop(columns='families').set_index('estimator').T.to_string()}"
-            for kind, part in league.groupby("families", sort=False)
-        ]
+        tables = []
+        for kind, part in league.groupby("families", sort=False):
+            columns = part.drop(columns="families").set_index("estimator")
+            tables.append(f"{kind} families\n{columns.T.to_string()}")
+        parts = [*tables, EXPLAINED]
         failed = [
             f"{row.estimator}: no value on {row.logs} logs: {row.status}"
             for row in self._failures().itertuples()
         ]
-        return "\n\n".join(
-            [*tables, EXPLAINED, *(["\n".join(failed)] if failed else [])]
-        )
+        if failed:
+            parts.append("\n".join(failed))
+        return "\n\n".join(parts)
 
     def _failures(self) -> pd.DataFrame:
-        """(estimator, status, logs) of the rows without a value."""
+        """Count the rows without a value by estimator and status."""
         lost = self.table[self.table["value"].isna()]
         return (
             lost.groupby(["estimator", "status"], sort=False)
@@ -334,7 +362,14 @@ class League:
         )
 
     def scores(self) -> dict[str, Array]:
-        """|error| / reference of each estimator, (seeds, cells), smaller is better: runs x tasks, as ``rliable`` takes them."""
+        """Compute abs(error) / reference of each log, by estimator.
+
+        Returns
+        -------
+        dict of str to ndarray of shape (seeds, cells)
+            The scores of each estimator, smaller is better: runs x tasks, as
+            ``rliable`` takes them. A log without a value has nan.
+        """
         keys = ["family", "size", "estimator"]
         both = self.table.merge(self.cells[[*keys, "rmse", "ratio"]], on=keys)
         both["score"] = both["error"].abs() * both["ratio"] / both["rmse"]
@@ -345,20 +380,25 @@ class League:
         }
 
     def profile(self, figure: Any) -> None:
-        """Draw for each estimator the share of cells whose ratio is at most tau."""
+        """Draw for each estimator the share of cells whose ratio is at most tau.
+
+        Parameters
+        ----------
+        figure : matplotlib.figure.Figure
+            An empty figure, which is drawn on and resized.
+        """
         ax = _axes(
             figure,
             xlabel="tau: RMSE over the reference's",
             ylabel="share of cells with a ratio of at most tau",
         )
-        known = self.cells["ratio"][
-            (self.cells["ratio"] > 0) & np.isfinite(self.cells["ratio"])
-        ]
-        low, high = (
-            (0.5, 2.0)
-            if known.empty
-            else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
-        )
+        ratio = self.cells["ratio"]
+        known = ratio[(ratio > 0) & np.isfinite(ratio)]
+        low = 0.5
+        high = 2.0
+        if len(known):
+            low = max(known.min() / 1.2, 1e-3)
+            high = min(known.max() * 1.2, 1e3)
         for k, (name, own) in enumerate(self.cells.groupby("estimator", sort=False)):
             ratios = np.clip(np.sort(own["ratio"].dropna().to_numpy()), low, high)
             share = np.arange(len(ratios) + 1) / len(own)
@@ -376,18 +416,23 @@ class League:
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def sizes(self, figure: Any) -> None:
-        """Draw each estimator's RMSE over eff by size, its geometric mean over families
-        with a standard error over them.
+        """Draw the RMSE over eff of each estimator by size of the log.
+
+        A point is the geometric mean over the families, with a standard error over
+        them.
+
+        Parameters
+        ----------
+        figure : matplotlib.figure.Figure
+            An empty figure, which is drawn on and resized.
         """
         ax = _axes(
             figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff"
         )
-        logs = self.cells.assign(
-            log=np.log(self.cells["over_eff"].where(self.cells["over_eff"] > 0))
-        )
-        for k, (name, own) in enumerate(
-            list(logs.groupby("estimator", sort=False))[:N_CURVES]
-        ):
+        over_eff = self.cells["over_eff"]
+        logs = self.cells.assign(log=np.log(over_eff.where(over_eff > 0)))
+        shown = list(logs.groupby("estimator", sort=False))[:N_CURVES]
+        for k, (name, own) in enumerate(shown):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
             shift = 1.0 + 0.02 * (k - N_CURVES / 2)
             middle = np.exp(points["mean"].to_numpy())
@@ -409,13 +454,21 @@ class League:
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Any) -> None:
-        """Draw the ratio of each family and size, a panel for each estimator that is no
-        reference, a number in each cell.
+        """Draw the ratio of each family and size, with a number in each cell.
+
+        There is a panel for each estimator that is no reference.
+
+        Parameters
+        ----------
+        figure : matplotlib.figure.Figure
+            An empty figure, which is drawn on and resized.
         """
         references = [LIKELIHOOD, SIMULATOR]
         names = [
             name for name in self.cells["estimator"].unique() if name not in references
-        ] or references
+        ]
+        # A run of the references alone shows them.
+        names = names or references
         families = list(self.cells["family"].unique())
         sizes = sorted(self.cells["size"].unique())
         figure.set_size_inches(
@@ -457,26 +510,35 @@ class League:
         bar.set_label("RMSE over the reference's", fontsize="small")
 
     def page(self, about: Mapping[str, str], command: str) -> str:
-        """The league as a page of markdown; ``about``: what the simulator of each
-        family has wrong.
+        """Return the league as a page of markdown.
+
+        Parameters
+        ----------
+        about : mapping of str to str
+            What the simulator of each family has wrong, by the family's name.
+        command : str
+            The command that made the run; an empty text is left out.
+
+        Returns
+        -------
+        str
+            The page, with links to the pictures that ``save`` writes beside it.
         """
-        parts = {
-            "# Estimators on families of environment shift": (
-                f"`{command}`" if command else ""
-            )
-        }
+        parts = ["# Estimators on families of environment shift"]
+        if command:
+            parts.append(f"`{command}`")
         for kind, part in self.league.groupby("families", sort=False):
             table = (
                 part.drop(columns="families")
                 .set_index("estimator")
                 .T.reset_index(names="measure")
             )
-            parts[f"## {str(kind).capitalize()} families"] = pipe_table(table)
-        parts[EXPLAINED] = "\n\n".join(
-            f"![{text}]({name}.png)" for name, text in PICTURES.items()
-        )
-        if len(failed := self._failures()):
-            parts["## Without a value"] = pipe_table(failed)
+            parts += [f"## {str(kind).capitalize()} families", pipe_table(table)]
+        parts.append(EXPLAINED)
+        parts += [f"![{text}]({name}.png)" for name, text in PICTURES.items()]
+        failed = self._failures()
+        if len(failed):
+            parts += ["## Without a value", pipe_table(failed)]
         if about:
             frame = pd.DataFrame(
                 {
@@ -484,13 +546,18 @@ class League:
                     "what the simulator has wrong": list(about.values()),
                 }
             )
-            parts["## Families"] = pipe_table(frame)
-        return (
-            "\n\n".join(text for part in parts.items() for text in part if text) + "\n"
-        )
+            parts += ["## Families", pipe_table(frame)]
+        return "\n\n".join(parts) + "\n"
 
     def to_latex(self) -> str:
-        """The league as a LaTeX table (booktabs)."""
+        """Return the league as a LaTeX table (booktabs).
+
+        Returns
+        -------
+        str
+            A ``tabular`` environment with a row for each estimator and kind of
+            families.
+        """
         shown = [
             "estimator",
             "families",
@@ -510,15 +577,38 @@ class League:
                 escape=True,
                 na_rep="--",
                 float_format="%.2f",
-                column_format="ll" + "r" * (len(shown) - 2),
+                column_format="llrrrrrrr",  # two columns of text, seven of numbers
             )
         )
 
     def save(
-        self, folder: Any, *, about: Mapping[str, str] | None = None, command: str = ""
+        self,
+        folder: str | PathLike[str],
+        *,
+        about: Mapping[str, str] | None = None,
+        command: str = "",
     ) -> list[Path]:
-        """Write table.csv, cells.csv, league.csv, league.md, league.tex and three
-        pictures, all or none.
+        """Write the tables, the page and three pictures into a folder, all or none.
+
+        Parameters
+        ----------
+        folder : str or path
+            Where table.csv, cells.csv, league.csv, league.md, league.tex and the
+            pictures go.
+        about : mapping of str to str, optional
+            What the simulator of each family has wrong, by the family's name.
+        command : str, optional
+            The command that made the run, for the page.
+
+        Returns
+        -------
+        list of Path
+            The files that were written.
+
+        Raises
+        ------
+        ValueError
+            If one of the files is a link or something else that is no plain file.
         """
         contents = {
             "table.csv": _files.csv_bytes(self.table),
@@ -537,6 +627,7 @@ class League:
 
 
 def _axes(figure: Any, **labels: str) -> Any:
+    """Return the only axes of a figure, with these labels."""
     figure.set_size_inches(7.0, 4.4)
     ax = figure.subplots()
     ax.set(**labels)
@@ -544,13 +635,23 @@ def _axes(figure: Any, **labels: str) -> Any:
 
 
 def league_of(table: pd.DataFrame) -> League:
-    """The league of a run's rows.
+    """Make the league of a run's rows.
 
     Parameters
     ----------
-    table : columns family, families, size, seed, estimator, value, standard_error,
-        error, lower, upper, seconds, covered, bound, identical, status; among the
-        estimators the references "maximum-likelihood" and "simulator"
+    table : DataFrame
+        Columns family, families, size, seed, estimator, value, standard_error, error,
+        lower, upper, seconds, covered, bound, identical, status and truth. Among the
+        estimators are the references "maximum-likelihood" and "simulator".
+
+    Returns
+    -------
+    League
+        The table with its cells and its league.
+
+    See Also
+    --------
+    run : Measures estimators and returns their league.
 
     Examples
     --------
@@ -564,8 +665,10 @@ def league_of(table: pd.DataFrame) -> League:
     """
     groups = table.groupby(["family", "size"], sort=False)
     cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
-    league = [
-        _league_row(part)
-        for _, part in cells.groupby(["families", "estimator"], sort=False)
-    ]
-    return League(table, cells, pd.DataFrame(league))
+    return League(table, cells, league_of_cells(cells))
+
+
+def league_of_cells(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return one row for each estimator and kind of families, over their cells."""
+    groups = cells.groupby(["families", "estimator"], sort=False)
+    return pd.DataFrame([_league_row(part) for _, part in groups])
