@@ -1,14 +1,14 @@
-"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2];
-``notebooks/peers.md`` is their page.
+"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2].
 
-Both install beside numpy 2.4 and work (SCOPE-RL 0.2.1, offline-rl-ope 7.0.0), but they
-pull in torch (4 GB with its CUDA libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium
-1.0.0) and gym, which prints a notice. offline-rl-ope imports jaxtyping and typeguard
-below 3, which it does not ask for; the extra does.
+``notebooks/peers.md`` is their page. Both install beside numpy 2.4 and work (SCOPE-RL
+0.2.1, offline-rl-ope 7.0.0), but they pull in torch (4 GB with its CUDA libraries),
+d3rlpy (2.8.0, as 2.8.1 pins gymnasium 1.0.0) and gym, which prints a notice.
+offline-rl-ope imports jaxtyping and typeguard below 3, which it does not ask for; the
+extra does.
 
 References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement
-learning and off-policy evaluation,
-2023. [2] J. Spear, offline-rl-ope, https://pypi.org/project/offline-rl-ope.
+learning and off-policy evaluation, 2023. [2] J. Spear, offline-rl-ope,
+https://pypi.org/project/offline-rl-ope.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ PEERS: Mapping[str, tuple[str, ...]] = {
 
 
 def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
-    """Episodes of one length, at most ``problem.horizon`` steps: state, action, reward,
-    behavior and alive (episodes, T).
+    """Pad the episodes of a log to one length, at most ``problem.horizon`` steps.
 
-    After its end an episode repeats its last state, takes action 0 with probability 1
-    under both policies and gets reward 0. ``policy`` (episodes, T, A) is that of the
-    policy at each step.
+    The arrays state, action, reward, behavior and alive are (episodes, T). After its
+    end an episode repeats its last state, takes action 0 with probability 1 under both
+    policies and gets reward 0. ``policy`` (episodes, T, A) is that of the policy at
+    each step.
     """
     log = problem.recorded
     starts = log.episode_starts
@@ -85,14 +85,15 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Peer:
-    """An estimator of another library on the log's episodes; it gives no standard
-    error.
+    """Estimator of another library on the log's episodes, without a standard error.
 
     Parameters
     ----------
-    library : "scope-rl" | "offline-rl-ope"
-    estimator : the name of its class in ``scope_rl.ope.discrete`` or
-        ``offline_rl_ope.api.StandardEstimators``
+    library : {'scope-rl', 'offline-rl-ope'}
+        The library that has the estimator.
+    estimator : str
+        The name of its class in ``scope_rl.ope.discrete`` or
+        ``offline_rl_ope.api.StandardEstimators``.
 
     Examples
     --------
@@ -106,14 +107,16 @@ class Peer:
     estimator: str
 
     def __post_init__(self) -> None:
+        """Check the names of the library and of the estimator."""
         _checks.one_of(self.library, "library", tuple(PEERS))
         _checks.one_of(
             self.estimator, f"{self.library}'s estimator", PEERS[self.library]
         )
 
     def load(self) -> Any:
-        """The estimator as the library makes it; ImportError, which names the extra,
-        without the library.
+        """Return the estimator as the library makes it.
+
+        Without the library there is an ImportError that names the extra.
         """
         try:
             if self.library == "scope-rl":
@@ -134,7 +137,7 @@ class Peer:
     def __call__(
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
-        """Its value of the policy."""
+        """Estimate the value of the policy; the seed is not used."""
         pi = check_policy(policy, problem.simulator)
         discount = float(problem.simulator.discount)
         estimator = self.load()

@@ -1,9 +1,8 @@
-"""The families by name, made when they are looked up; and those on grids and of random
-MDPs.
+"""Families by name, made when they are looked up, and those on grids and random MDPs.
 
-Grids: the paper's, floors of 8 x 8 whose slip differs by place or by motor, Gymnasium's
-toy text; patients with sepsis. Garnets: random MDPs, of which the simulator gets the
-probabilities wrong in several ways.
+The grids are the paper's, floors of 8 x 8 cells whose slip differs by place or by
+motor, and Gymnasium's toy text; there are also patients with sepsis. Garnets are random
+MDPs, of which the simulator gets the probabilities wrong in several ways.
 """
 
 from __future__ import annotations
@@ -52,8 +51,9 @@ MISSING_ICU = (
 
 
 def floor(slip: Any = SIMULATED) -> FiniteMDP:
-    """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each cell, or
-    each (cell, action).
+    """Make a floor of 8 x 8 cells, started anywhere.
+
+    ``slip`` is a number, or one for each cell, or one for each (cell, action).
     """
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (64, 4)).copy()
     share[-1] = 0.0
@@ -72,8 +72,9 @@ def floor(slip: Any = SIMULATED) -> FiniteMDP:
 
 
 def one_way_grid() -> Family:
-    """The paper's grid from its corner with a log of its expert alone: much of what the
-    policy does is never recorded.
+    """Make the paper's grid from its corner, with a log of its expert alone.
+
+    Much of what the policy does is never recorded.
     """
     simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
     family = pair(
@@ -87,8 +88,9 @@ def one_way_grid() -> Family:
 
 
 def icu_file() -> Path | None:
-    """The table that the package icu-sepsis ships, or None without it (the package need
-    not be imported).
+    """Return the table that the package icu-sepsis ships, or None without it.
+
+    The package need not be imported.
     """
     package = importlib.util.find_spec("icu_sepsis")
     if package is None or not package.submodule_search_locations:
@@ -99,11 +101,12 @@ def icu_file() -> Path | None:
 
 
 def icu_sepsis() -> Family:
-    """Patients with sepsis [1], five levels of the first drug, the second's as the
-    clinicians chose them; discount .99.
+    """Make the family of patients with sepsis [1].
 
-    In the target death is twice as likely and survival .7 times, the rows scaled.
-    Policy: the clinicians' levels.
+    Actions are five levels of the first drug; the second drug is given as the
+    clinicians chose it. The discount is .99. In the target death is twice as likely and
+    survival .7 times, with the rows scaled to sum to 1. The policy is the clinicians'
+    levels.
 
     Reference: [1] K. Choudhary, D. Gupta, P. S. Thomas, ICU-Sepsis: a benchmark MDP
     built from real medical data, RLC 2024.
@@ -151,17 +154,27 @@ def garnet(
     n_states: int = 40,
     recorded: float = 0.5,
 ) -> Maker:
-    """Each (s, a) leads to five random states with uniform Dirichlet probabilities;
-    r(s, a) is normal.
+    """Return a maker of Garnets, random MDPs of three actions.
+
+    Each state-action pair leads to five random states with uniform Dirichlet
+    probabilities, and r(s, a) is normal.
 
     Parameters
     ----------
-    change : (p, row, z, rng) -> the target's weights of the simulator's transitions,
-        which have the probabilities p; row is that of (s, a), z the next state's
-        standardised value under the family's policy; None: no change
+    about : str
+        One sentence that says what the simulator has wrong.
+    change : callable, optional
+        (p, row, z, rng) -> the target's weights of the simulator's transitions, which
+        have the probabilities p; row is that of (s, a), z the next state's standardised
+        value under the family's policy. None means no change.
+    n_states : int, default 40
+        Number of states.
+    recorded : float, default 0.5
+        The share of the policy in what records the target; the rest is uniform.
     """
 
     def make(rng: np.random.Generator) -> Family:
+        """Draw a Garnet and the family of its change."""
         rows = 3 * n_states
         to = np.argsort(rng.random((rows, n_states)), axis=1)[:, :5]
         entries = (
@@ -188,19 +201,37 @@ def garnet(
 
 
 def make_worse(n_states: int = 40) -> Maker:
-    """What makes a Garnet of that size, a little worse everywhere along V."""
+    """Return a maker of a Garnet that is a little worse everywhere along V."""
     about = "Each transition is a little worse than simulated, along V."
     return garnet(about, lambda p, row, z, rng: p * np.exp(-0.25 * z), n_states)
 
 
 def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
-    """A Garnet that is a little worse everywhere along V: P exp(-.25 z(V)), as
-    ``garnet_worse``, of any size.
+    """Make a Garnet whose target is a little worse everywhere along V.
+
+    It is the family ``garnet_worse`` in any size.
 
     Parameters
     ----------
-    n_states : int of at least 5
-    seed : int from 0; it chooses the Garnet
+    n_states : int, default 40
+        Number of states, at least 5.
+    seed : int, default 0
+        Seed from 0 that chooses the Garnet.
+
+    Returns
+    -------
+    Family
+        The random MDP and a target with probabilities proportional to P exp(-.25 z(V)),
+        where z(V) is the standardised value of the next state.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 5 states, or the seed is no integer from 0.
+
+    See Also
+    --------
+    families : The families of the package by name.
 
     Examples
     --------
@@ -348,19 +379,29 @@ HELD = (  # whose results nobody saw while the default was chosen
 
 
 class Families(Mapping[str, Family]):
-    """Families by name, each made when it is first looked up, from random numbers of
-    its own.
+    """Mapping of names to families, each made when it is first looked up.
+
+    Each family is made from random numbers of its own.
 
     Parameters
     ----------
-    makers : name -> function of a generator, or without parameters, that makes the
-        family
-    seed : int from 0
-    left_out : name -> a sentence that says why it is not there
+    makers : mapping of str to callable
+        Name -> function of a generator, or without parameters, that makes the family.
+    seed : int
+        Seed from 0 of the random parts.
+    left_out : mapping of str to str
+        Name -> a sentence that says why the family is not there.
 
     Attributes
     ----------
-    seed, left_out
+    seed : int
+        The seed of the random parts.
+    left_out : dict of str to str
+        Why some families are not there, by name.
+
+    See Also
+    --------
+    families : The families of the package.
 
     Examples
     --------
@@ -373,12 +414,14 @@ class Families(Mapping[str, Family]):
     def __init__(
         self, makers: Mapping[str, Maker], seed: int, left_out: Mapping[str, str]
     ):
+        """Keep the makers; nothing is made yet."""
         self._makers = dict(makers)
         self._made = dict[str, Family]()
         self.seed = seed
         self.left_out = dict(left_out)
 
     def __getitem__(self, name: str) -> Family:
+        """Return the family of a name; KeyError says which are near."""
         if name not in self._makers:
             raise KeyError(self.missing(name))
         if name not in self._made:
@@ -386,19 +429,34 @@ class Families(Mapping[str, Family]):
         return self._made[name]
 
     def __contains__(self, name: object) -> bool:
+        """Return whether there is a family of that name."""
         return name in self._makers
 
     def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
         return iter(self._makers)
 
     def __len__(self) -> int:
+        """Return the number of families."""
         return len(self._makers)
 
     def __repr__(self) -> str:
+        """Return the seed and the names."""
         return f"Families(seed {self.seed}: {', '.join(self._makers)})"
 
     def missing(self, name: str) -> str:
-        """Why ``name`` is not among the families, and which are near."""
+        """Return why a name is not among the families, and which names are near.
+
+        Parameters
+        ----------
+        name : str
+            A name that is not among the families.
+
+        Returns
+        -------
+        str
+            One sentence for an error.
+        """
         if name in self.left_out:
             return self.left_out[name]
         near = difflib.get_close_matches(str(name), list(self._makers), n=3, cutoff=0.4)
@@ -409,6 +467,7 @@ class Families(Mapping[str, Family]):
         )
 
     def _make(self, name: str) -> Family:
+        """Make the family of a name, with a ValueError that names it."""
         # of the name alone
         words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")
         try:
@@ -422,24 +481,35 @@ class Families(Mapping[str, Family]):
 
 @functools.lru_cache(maxsize=64)
 def _make_fixed(maker: Maker) -> Family:
-    """A family without random parts: made once a process, whatever the seed."""
+    """Make a family without random parts once a process, whatever the seed."""
     return maker()
 
 
 def families(seed: int = 0, *, large: bool = False) -> Families:
-    """The families of environment shift of the benchmark.
+    """Return the families of environment shift of the benchmark.
 
     Parameters
     ----------
-    seed : int from 0; the random parts of a family (the Garnets) differ between seeds
-    large : whether those are there that a run must name: ``tandem45``, which takes
-        seconds a log, and ``garnet_worse`` with 10, 20, 80 and 160 states
+    seed : int, default 0
+        Seed from 0. The random parts of a family (the Garnets) differ between seeds.
+    large : bool, default False
+        Whether those are there that a run must name: ``tandem45``, which takes seconds
+        a log, and ``garnet_worse`` with 10, 20, 80 and 160 states.
 
     Returns
     -------
     Families
-        name -> Family, made when it is looked up. ``icu_sepsis`` needs the extra
+        Name -> Family, made when it is looked up. ``icu_sepsis`` needs the extra
         ``bench``; without it ``left_out`` says so.
+
+    Raises
+    ------
+    ValueError
+        If the seed is no integer from 0, or ``large`` is no bool.
+
+    See Also
+    --------
+    run : Measures estimators on these families.
 
     Examples
     --------

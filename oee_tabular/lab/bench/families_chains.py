@@ -1,6 +1,4 @@
-"""Stocks, queues, machines, chains and further trades, in each of which a number or two
-differ.
-"""
+"""Stocks, queues, machines, chains and further trades, with a number or two changed."""
 
 from __future__ import annotations
 
@@ -52,17 +50,22 @@ def inventory(
     step: int = 3,
     **options: Any,
 ) -> Maker:
-    """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit,
-    sales beyond the stock are lost.
+    """Return a maker of a stock with Poisson demand.
+
+    Orders are 0 to 4 times ``step``. The price is 3, the cost 1, holding costs .1 a
+    unit, and sales beyond the stock are lost.
     """
 
     def fill(stock: IntArray, order: IntArray) -> Any:
+        """Return the stock after the order."""
         return np.minimum(stock + step * order, n_states - 1)
 
     def profit(s: IntArray, a: IntArray, to: IntArray) -> Array:
+        """Return the reward of a transition between two stocks."""
         return np.asarray(3.0 * (fill(s, a) - to) - (fill(s, a) - s) - 0.1 * to)
 
     def moves(stock: IntArray, order: IntArray, mean: float) -> Moves:
+        """Return the transitions of the stock."""
         full = fill(stock, order)
         return [(poisson(mean, full), full - np.arange(n_states))]
 
@@ -72,11 +75,14 @@ def inventory(
 
 
 def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
-    """25 jobs at most; (arrival, slow service, fast service) probabilities of a step; a
-    job costs .1, fast service .4.
+    """Return a maker of a queue of at most 25 jobs.
+
+    ``real`` has the target's probabilities of an arrival, of slow service and of fast
+    service in a step. A job costs .1 a step, fast service .4.
     """
 
     def moves(jobs: IntArray, fast: IntArray, arrival: float, *service: float) -> Moves:
+        """Return the transitions of the number of jobs."""
         done = np.where(jobs > 0, np.choose(fast, service), 0.0)
         yield arrival * (1 - done), jobs + 1
         yield (1 - arrival) * done, jobs - 1
@@ -87,15 +93,24 @@ def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
 
 
 def tandem(size: int = 45) -> Family:
-    """Two stations in line, less than ``size`` jobs each; slow or fast at each; the
-    target has more arrivals, slower service.
+    """Make two stations in line, where the target has more arrivals and slower service.
 
-    Policy: fast at a station with more than 3 jobs. Data: uniform actions, episodes of
-    8000 steps from the empty stations.
+    Each station holds fewer than ``size`` jobs and serves slowly or fast.
 
     Parameters
     ----------
-    size : int of at least 2; S = size * size
+    size : int, default 45
+        Number of lengths of each queue, at least 2; S = size * size.
+
+    Returns
+    -------
+    Family
+        The policy is fast at a station with more than 3 jobs. The data are of uniform
+        actions, in episodes of 8000 steps from the empty stations.
+
+    See Also
+    --------
+    families : The families of the package by name.
 
     Examples
     --------
@@ -107,6 +122,7 @@ def tandem(size: int = 45) -> Family:
     def moves(
         state: IntArray, action: IntArray, arrival: float, first: float, second: float
     ) -> Moves:
+        """Return the transitions of both queues."""
         (i, j) = np.divmod(state, size)
         (fast_2, fast_1) = np.divmod(action, 2)
         one = first * np.where(fast_1, 1.6, 1.0)
@@ -137,16 +153,20 @@ def tandem(size: int = 45) -> Family:
 
 
 def machine(wear: IntArray, action: IntArray, one: float, two: float) -> Moves:
-    """Wear 0 to 11; keep, repair (half of the wear, 2) or replace (6); a worn machine
-    earns less and wears by 0, 1 or 2.
+    """Return the transitions of a machine with wear 0 to 11.
+
+    Actions are keep, repair (half of the wear, which costs 2) and replace (which costs
+    6). A worn machine earns less and wears by 0, 1 or 2.
     """
     after = np.choose(action, [wear, wear // 2, 0])
     return (1 - one - two, after), (one, after + 1), (two, after + 2)
 
 
 def mountain(place: IntArray, action: IntArray, pull: float) -> Moves:
-    """A valley of 25 places; push left, rest, push right; the slope pulls back; the
-    right top ends it with 10.
+    """Return the transitions in a valley of 25 places.
+
+    Actions are push left, rest and push right. The slope pulls back; the top on the
+    right ends the episode with reward 10.
     """
     slope = pull * (place - 10) / 14
     right = 0.3 + 0.2 * (action - 1) - slope
@@ -239,8 +259,10 @@ FIRST: dict[str, Maker] = {
 
 
 def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
-    """Age 0 to 9, or failed by wear (10), or by a shock (11); run gently, run hard,
-    renew. Hard running ages and earns more.
+    """Return the transitions of an asset of age 0 to 9.
+
+    It may fail by wear (state 10) or by a shock (state 11). Actions are run gently, run
+    hard and renew. Hard running ages and earns more.
     """
     runs = (state < 10) & (action < 2)
     repaired = np.where(
@@ -258,13 +280,15 @@ def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
 
 
 def number_of_sick(susceptible: Any, infected: Any) -> Any:
-    """The state of so many susceptible and infected people."""
+    """Return the state of so many susceptible and infected people."""
     return susceptible * (PEOPLE + 1) - susceptible * (susceptible - 1) // 2 + infected
 
 
 def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
-    """Twelve people, susceptible and infected; nothing, distance (.5) or lockdown
-    (1.2); an infected one costs 1 a step.
+    """Return the transitions of an epidemic among twelve people.
+
+    States are the numbers of susceptible and infected. Actions are nothing, distance
+    (which costs .5) and lockdown (1.2); an infected person costs 1 a step.
     """
     s = SUSCEPTIBLE[state]
     i = INFECTED[state]
@@ -280,8 +304,10 @@ def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
 
 
 def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
-    """Six patients, two arms; the simulator predicts by the counts so far, Beta(1, 1);
-    the arms cure .6 and .25 in truth.
+    """Return the transitions of a trial of six patients and two arms.
+
+    The simulator predicts from the counts so far, with the prior Beta(1, 1). In truth
+    the arms cure with probabilities .6 and .25.
     """
     a, b, c, d = TRIALS[state[:, :, 0]].transpose(2, 0, 1)[..., None]
     cured = np.where(arm, c, a)
@@ -292,8 +318,10 @@ def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
 
 
 def parking(state: IntArray, action: IntArray, free: float) -> Moves:
-    """Fifteen places on the way to a shop; drive on, or park where it is free; walking
-    costs more than driving; rounds.
+    """Return the transitions of a search for a place among fifteen before a shop.
+
+    Actions are drive on, and park where the place is free. Walking costs more than
+    driving, and after the last place another round begins.
     """
     distance, empty = np.divmod(state, 2)
     drives = 1 - action * empty
@@ -307,29 +335,34 @@ def parking(state: IntArray, action: IntArray, free: float) -> Moves:
 
 
 def wins(s: IntArray, a: IntArray, to: IntArray) -> BoolArray:
-    """1 for the arrival at 20."""
+    """Return whether a transition arrives at 20."""
     return np.asarray((to == 20) & (s != 20))
 
 
 def gambler(capital: IntArray, action: IntArray, win: float) -> Moves:
-    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won with reward 1, at 0
-    it is lost.
+    """Return the transitions of a gambler's capital of 0 to 20.
+
+    Stakes are 1, 2 or 4. At 20 the game is won with reward 1, at 0 it is lost.
     """
     put = np.minimum(2**action, np.minimum(capital, 20 - capital))
     return (win, capital + put), (1 - win, capital - put)
 
 
 def fishery(stock: IntArray, action: IntArray, growth: float) -> Moves:
-    """Stock 0 to 20, harvests of 0, 1, 2, 4 or 6; logistic growth with Poisson noise; a
-    restocked sea starts at 0 or more.
+    """Return the transitions of a fish stock of 0 to 20.
+
+    Harvests are 0, 1, 2, 4 or 6. Growth is logistic with Poisson noise; an empty sea is
+    restocked.
     """
     left = np.maximum(stock - HARVESTS[action], 0)
     return [(poisson(0.3 + left + growth * left * (1 - left / 20), 20), np.arange(21))]
 
 
 def traffic(state: IntArray, change: IntArray, *lanes: float) -> Moves:
-    """Twenty stretches of a road, two lanes; stay or change (.3); each lane moves with
-    its own probability; a step costs 1.
+    """Return the transitions on a road of twenty stretches and two lanes.
+
+    Actions are stay, and change the lane (which costs .3). Each lane moves with its own
+    probability, and a step costs 1.
     """
     there = state ^ change  # the same stretch, in the lane that is chosen
     go = np.array(lanes)[there % 2] * np.where(change, 0.8, 1.0)
@@ -337,8 +370,10 @@ def traffic(state: IntArray, change: IntArray, *lanes: float) -> Moves:
 
 
 def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
-    """Nine floors, a lift up, down or waiting; calls come from floors below the middle
-    more often than simulated.
+    """Return the transitions of an elevator on nine floors.
+
+    It goes up, down or waits. In the target calls come from the lower floors more often
+    than simulated.
     """
     # call 9: none
     at = np.clip(state // 10 + action - 1, 0, 8)

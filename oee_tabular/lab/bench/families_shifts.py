@@ -1,9 +1,8 @@
-"""Families whose targets differ in more than one number: several parameters, the shape
-of a distribution, one place.
+"""Families whose targets differ in several numbers, or in the shape of a distribution.
 
-Other kinds: effects that depend on the state, seasons, heavy tails, mixtures with
-another MDP, low rank, hundreds of successors, simulators that are right by luck. Each
-draws its parameters from a generator.
+Other kinds are changes at one place, effects that depend on the state, seasons, heavy
+tails, mixtures with another MDP, low rank, hundreds of successors, and simulators that
+are right by luck. Each family draws its parameters from a generator.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ X, Y = np.divmod(np.arange(81), 9)
 def from_tables(
     about: str, tables: tuple[Array, Array], rewards: Array, discount: float
 ) -> Family:
-    """A family from the simulator's and the target's probabilities, (S, A, S)."""
+    """Make a family of the simulator's and the target's probabilities (S, A, S)."""
     simulator = FiniteMDP(
         tables[0], rewards, np.full(len(rewards), 1 / len(rewards)), discount
     )
@@ -60,15 +59,16 @@ def from_tables(
 
 
 def miss(family: Family) -> float:
-    """By how much the true value is above the simulator's."""
+    """Compute by how much the true value is above the simulator's."""
     return family.truth - policy_value(family.simulator, family.policy)
 
 
 def match_value(
     family_at: Callable[[float], Family], low: float, high: float
 ) -> Family:
-    """The family at the parameter in [low, high] where the simulator's value is right
-    by luck.
+    """Find the family at the parameter where the simulator's value is right by luck.
+
+    The parameter lies in [low, high].
     """
     return family_at(
         optimize.brentq(
@@ -83,8 +83,10 @@ def draw_garnet(
     n_actions: int = 3,
     n_successors: int = 5,
 ) -> Array:
-    """(S, A, S) of random rows: ``n_successors`` random states with uniform Dirichlet
-    probabilities.
+    """Draw random probabilities (S, A, S).
+
+    Each state-action pair leads to ``n_successors`` random states with uniform
+    Dirichlet probabilities.
     """
     table = np.zeros((n_states, n_actions, n_states))
     for s, a in np.ndindex(n_states, n_actions):
@@ -95,8 +97,10 @@ def draw_garnet(
 
 
 def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
-    """Own total 2 to 21, dealer's card 1 to 10, aces count 1; then lost, even, won;
-    draw or stand.
+    """Return the transitions of blackjack, drawing or standing.
+
+    States are the own total 2 to 21 and the dealer's card 1 to 10, aces counting 1;
+    then lost, even and won.
     """
     total = s // 10 + 2
     drawn = np.arange(1, 11)
@@ -112,7 +116,7 @@ def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
 
 
 def blend_with_stranger(rng: np.random.Generator) -> Family:
-    """A Garnet and another one that is mixed into it."""
+    """Make a Garnet into which another one is mixed."""
     mine = draw_garnet(rng)
     other = draw_garnet(rng)
     rewards = rng.normal(size=(40, 3))
@@ -127,9 +131,13 @@ def blend_with_stranger(rng: np.random.Generator) -> Family:
 def coupled_maintenance(
     s: IntArray, action: IntArray, base: float, load: float
 ) -> Moves:
-    """Two parts with wear 0 to 7; the action's bits say which are repaired."""
+    """Return the transitions of two parts with wear 0 to 7.
+
+    The bits of the action say which parts are repaired.
+    """
 
     def wear(part: IntArray, is_repaired: IntArray, rate: Array) -> Array:
+        """Return the distribution of the next wear of one part."""
         k = np.arange(8)
         new = 0.95 * is_repaired
         old = np.where(is_repaired, 0.05, 1.0)
@@ -151,7 +159,10 @@ def coupled_maintenance(
 def epidemic_superspreading(
     infected: IntArray, action: IntArray, dispersion: float
 ) -> Moves:
-    """0 to 30 infected; open, distance, closed."""
+    """Return the transitions of an epidemic of 0 to 30 infected people.
+
+    Actions are open, distance and closed.
+    """
     mean = 0.3 + np.array([0.45, 0.28, 0.15])[action] * infected * (1 - infected / 45)
     new = stats.nbinom.pmf(np.arange(200), dispersion, dispersion / (dispersion + mean))
     still_ill = stats.binom.pmf(np.arange(31), infected, 0.7)[:, 0]
@@ -164,7 +175,7 @@ def epidemic_superspreading(
 def find_law_of_mean_5(
     weights: Callable[[float], Any], low: float, high: float
 ) -> Array:
-    """The distribution of claims of mean 5 in a family of weights."""
+    """Find the distribution of claims with mean 5 in a family of weights."""
     root = optimize.brentq(lambda x: normalize(weights(x)) @ CLAIMS - 5, low, high)
     return normalize(weights(root))
 
@@ -172,8 +183,9 @@ def find_law_of_mean_5(
 def insurance_claims(
     capital: IntArray, action: IntArray, claims: Array, frequency: float
 ) -> Moves:
-    """Capital 0 (ruin) to 49; claims of 1 to 60, of which all, half or a quarter is
-    kept.
+    """Return the transitions of an insurer's capital, from 0 (ruin) to 49.
+
+    Claims are 1 to 60, of which all, half or a quarter is kept.
     """
     income = np.minimum(capital + 3 - action, 49)
     return (1 - frequency, income), (
@@ -183,7 +195,7 @@ def insurance_claims(
 
 
 def low_rank(rng: np.random.Generator) -> Family:
-    """Rows are mixtures of four laws."""
+    """Make a family whose rows are mixtures of four laws."""
     weights = rng.dirichlet(np.full(4, 0.5), (60, 3))
     factors = rng.dirichlet(np.ones(60), 4)
     changed = factors.copy()
@@ -195,7 +207,7 @@ def low_rank(rng: np.random.Generator) -> Family:
 
 
 def lucky_garnet(rng: np.random.Generator) -> Family:
-    """A Garnet tilted along V, up in half of the states and down in the others."""
+    """Make a Garnet tilted along V, up in half of the states and down elsewhere."""
     table = draw_garnet(rng)
     rewards = rng.normal(size=(40, 3))
     better = rng.random(40) < 0.5
@@ -207,6 +219,7 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
     )
 
     def family_at(loss: float) -> Family:
+        """Return the family whose worse states lose this much."""
         real = normalize(
             table * np.exp(np.where(better, 0.6, -loss)[:, None, None] * z)
         )
@@ -218,18 +231,20 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
 
 
 def lucky_queue(rng: np.random.Generator) -> Family:
-    """0 to 29 jobs, slow or fast service."""
+    """Make a queue of 0 to 29 jobs with slow or fast service."""
     arrival = rng.uniform(0.34, 0.4)
     about = "Fewer arrivals and slower service than simulated, which cancel by luck."
     cost = -0.1 * np.arange(30.0)[:, None] - np.array([0.0, 0.4])
 
     def moves(jobs: IntArray, fast: IntArray, arrival: float, factor: float) -> Moves:
+        """Return the transitions of the queue."""
         done = np.where(jobs > 0, factor * np.where(fast, 0.7, 0.5), 0.0)
         up = arrival * (1 - done)
         down = (1 - arrival) * done
         return (up, jobs + 1), (down, jobs - 1), (1 - up - down, jobs)
 
     def family_at(factor: float) -> Family:
+        """Return the family whose service is this factor of the simulated one."""
         return shift(
             about, (30, 2), cost, 0.97, (0.45, 1.0), (arrival, factor), moves
         )()
@@ -238,8 +253,9 @@ def lucky_queue(rng: np.random.Generator) -> Family:
 
 
 def portfolio_tails(wealth: IntArray, action: IntArray, law: Array) -> Moves:
-    """Wealth 0 (broke) to 40 on a logarithmic scale; nothing, half or all of it at
-    risk.
+    """Return the transitions of wealth from 0 (broke) to 40 on a logarithmic scale.
+
+    Nothing, half or all of it is at risk.
     """
     after = wealth + np.round(0.5 * action * RETURNS).astype(int)
     return (0.8 * law, after), (0.2 * law, after - 1)
@@ -248,7 +264,10 @@ def portfolio_tails(wealth: IntArray, action: IntArray, law: Array) -> Moves:
 def predator_prey(
     s: IntArray, action: IntArray, growth: float, death: float, bite: float
 ) -> Moves:
-    """Prey 0 to 11, predators 0 to 7; harvests of 0, 1 and 3."""
+    """Return the transitions of 0 to 11 prey and 0 to 7 predators.
+
+    Harvests are 0, 1 and 3 prey.
+    """
     hunters = HUNTERS[s]
     left = np.maximum(PREY[s] - HARVESTS[action], 0)
     mean = np.maximum(
@@ -259,7 +278,10 @@ def predator_prey(
 
 
 def random_yield(stock: IntArray, action: IntArray, dispersion: float) -> Moves:
-    """Stock 0 to 30, batches of 0, 3, 6 and 10."""
+    """Return the transitions of a stock of 0 to 30 with random yields.
+
+    Batches are 0, 3, 6 and 10.
+    """
     sold, good = np.divmod(np.arange(31 * 11), 11)
     law = stats.betabinom.pmf(
         np.arange(11), BATCHES[action], 0.7 * dispersion, 0.3 * dispersion
@@ -269,7 +291,10 @@ def random_yield(stock: IntArray, action: IntArray, dispersion: float) -> Moves:
 
 
 def reservoir(rng: np.random.Generator) -> Family:
-    """Level 0 to 14 in four seasons; releases of 0 to 3."""
+    """Make a reservoir of levels 0 to 14 in four seasons.
+
+    Releases are 0 to 3.
+    """
     rewards = (
         np.sqrt(np.minimum(LEVEL[:, None], np.arange(4)))
         * np.array([1.0, 0.8, 1.2, 1.5])[SEASON][:, None]
@@ -279,6 +304,7 @@ def reservoir(rng: np.random.Generator) -> Family:
     about = "Seasons differ more than simulated, with the same inflow a year."
 
     def moves(s: IntArray, action: IntArray, inflows: Array) -> Moves:
+        """Return the transitions of level and season."""
         left = np.maximum(LEVEL[s] - action, 0)
         return [
             (
@@ -293,8 +319,9 @@ def reservoir(rng: np.random.Generator) -> Family:
 
 
 def router_fault(rng: np.random.Generator) -> Family:
-    """40 nodes with three links each; node 0 gives a reward and sends the packet
-    anywhere.
+    """Make a network of 40 nodes with three links each, one of which fails.
+
+    Node 0 gives a reward and sends the packet anywhere.
     """
     links = np.array([rng.permutation(40)[:3] for _ in range(40)])
     busiest = 1 + int(np.bincount(links.ravel(), minlength=40)[1:].argmax())
@@ -302,6 +329,7 @@ def router_fault(rng: np.random.Generator) -> Family:
     real = (rng.uniform(0.1, 0.25),)
 
     def moves(node: IntArray, link: IntArray, works: float) -> Moves:
+        """Return the transitions of a packet."""
         p = np.where(node == busiest, works, 0.9)
         goes = node > 0
         yield goes * p, links[node, link]
@@ -314,11 +342,15 @@ def router_fault(rng: np.random.Generator) -> Family:
 
 
 def scattered_points(rng: np.random.Generator) -> Family:
-    """200 points of the unit square; up, left and right."""
+    """Make a family on 200 points of the unit square.
+
+    Actions are up, left and right.
+    """
     points = rng.random((200, 2))
     ways = 0.15 * np.array([[0, 1], [-1, 0], [1, 0]])
 
     def scatter(width: float, on_the_right: float) -> Array:
+        """Return the probabilities (S, A, S) of steps of this width."""
         strength = np.where(points[:, 0] > 0.5, on_the_right, 1.0)
         centers = points[:, None] + ways * strength[:, None, None]
         return normalize(
@@ -336,11 +368,15 @@ def scattered_points(rng: np.random.Generator) -> Family:
 
 
 def traffic_hours(s: IntArray, green: IntArray, north: Array, west: Array) -> Moves:
-    """Six hours, queues of 0 to 6 from north and west; who has green."""
+    """Return the transitions of two queues of cars over six hours.
+
+    The queues from north and west have 0 to 6 cars; the action says who has green.
+    """
     hour = s // 49
     both = np.arange(49)
 
     def queue(waiting: IntArray, is_green: IntArray, rate: Array) -> Array:
+        """Return the distribution of the next length of one queue."""
         leave, come = (
             stats.binom.pmf(np.arange(3), 2, p) for p in (0.85 * is_green, rate)
         )
@@ -362,9 +398,13 @@ def traffic_hours(s: IntArray, green: IntArray, north: Array, west: Array) -> Mo
 
 
 def two_motors(s: IntArray, action: IntArray, wear: float, overshoots: float) -> Moves:
-    """A table of 9 x 9 places; each motor moves by -1, 0 or 1; 40 steps."""
+    """Return the transitions on a table of 9 x 9 places, over 40 steps.
+
+    Each motor moves by -1, 0 or 1.
+    """
 
     def place(at: IntArray, way: IntArray, fails: Any, overshoots: float) -> Array:
+        """Return the distribution of the next place along one axis."""
         shares = [
             np.where(way, p, q)
             for p, q in (
@@ -383,7 +423,10 @@ def two_motors(s: IntArray, action: IntArray, wear: float, overshoots: float) ->
 
 
 def web_pages(rng: np.random.Generator) -> Family:
-    """120 pages with two sets of four links; a reader may go to any page."""
+    """Make 120 pages with two sets of four links.
+
+    A reader may go to any page.
+    """
     links = draw_garnet(rng, 120, 2, 4)
     rewards = rng.normal(size=120)
     popular = 1 / (1 + rng.permutation(120))

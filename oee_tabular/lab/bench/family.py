@@ -1,8 +1,8 @@
-"""A family of environment shift: a simulator, a target that differs from it, a policy,
-and how the target is recorded.
+"""Family of environment shift: a simulator and a target that differs from it.
 
-Below it what families are made of: pairs of models that differ in the parameters of
-their transitions, distributions.
+A family also has a policy, and says how the target is recorded. Below it is what
+families are made of: pairs of models that differ in the parameters of their
+transitions, and distributions.
 """
 
 from __future__ import annotations
@@ -32,25 +32,38 @@ from oee_tabular.typing import Array, Seed
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """A pair of environments whose truth is exact. Those of the package have at least
-    nine stochastic pairs, ``open_rows``.
+    """Pair of environments in which the true value of a policy is exact.
+
+    The families of the package have at least nine stochastic state-action pairs
+    (``open_rows``).
 
     Parameters
     ----------
-    simulator, target : FiniteMDP
-        Of the same states, actions, rewards, initial distribution and discount; the
-        target stays in the simulator's support.
-    policy : (S, A), whose value in the target is asked
-    data_policy : (S, A), which records the target
-    about : one sentence: what the simulator has wrong
-    horizon : number of rewards of the value; None: the infinite discounted sum
-    length : steps after which a recorded episode is cut
+    simulator : FiniteMDP
+        The model that estimators are given.
+    target : FiniteMDP
+        The environment that is recorded. It has the simulator's states, actions,
+        rewards, initial distribution and discount, and stays in its support.
+    policy : ndarray of shape (S, A)
+        The policy whose value in the target is asked.
+    data_policy : ndarray of shape (S, A)
+        The policy that records the target.
+    about : str
+        One sentence that says what the simulator has wrong.
+    horizon : int, optional
+        Number of rewards of the value. None means the infinite discounted sum.
+    length : int, default 200
+        Number of steps after which a recorded episode is cut.
 
     Raises
     ------
     ValueError
-        Another shape; another discount, initial distribution or reward; a target that
-        leaves the simulator's support (the transitions are named).
+        If a shape, the discount, the initial distribution or a reward differs, or the
+        target leaves the simulator's support (the transitions are named).
+
+    See Also
+    --------
+    families : The families of the package by name.
 
     Examples
     --------
@@ -74,6 +87,7 @@ class Family:
     length: int = 200
 
     def __post_init__(self) -> None:
+        """Check the pair, both policies and the settings."""
         require_pair(self.target, self.simulator)
         refuse_unsupported(self.target.transitions, self.simulator, what="target")
         _require_same(self.target, self.simulator)
@@ -95,6 +109,7 @@ class Family:
         )
 
     def __repr__(self) -> str:
+        """Return what the simulator has wrong, and the sizes of the models."""
         where = self.simulator
         horizon = (
             "infinite horizon" if self.horizon is None else f"{self.horizon} rewards"
@@ -107,19 +122,36 @@ class Family:
 
     @cached_property
     def truth(self) -> float:
-        """J of the policy in the target, exactly."""
+        """Return the exact value of the policy in the target.
+
+        Returns
+        -------
+        float
+            The expected discounted sum of rewards, or of the first ``horizon`` rewards.
+        """
         return policy_value(self.target, self.policy, horizon=self.horizon)
 
     @cached_property
     def open_rows(self) -> int:
-        """How many (s, a) have more than one next state in the simulator: the unit of a
-        log's size.
+        """Return the number of state-action pairs that are stochastic in the simulator.
+
+        Returns
+        -------
+        int
+            How many have more than one next state. The size of a log is told in this
+            unit.
         """
         return int((np.diff(self.simulator.transitions.indptr) > 1).sum())
 
     @cached_property
     def identical(self) -> bool:
-        """Whether the target is the simulator."""
+        """Return whether the target is the simulator.
+
+        Returns
+        -------
+        bool
+            True if both have the same transition probabilities, to the bit.
+        """
         here = self.simulator.transitions
         there = self.target.transitions
         return np.array_equal(here.indices, there.indices) and np.array_equal(
@@ -128,8 +160,13 @@ class Family:
 
     @cached_property
     def moves_per_state_action(self) -> Array:
-        """(S, A): how many transitions from (s, a) an episode records on average,
-        exactly.
+        """Return how many transitions from each pair an episode records on average.
+
+        Returns
+        -------
+        ndarray of shape (S, A)
+            The exact expected numbers of transitions; they sum to the mean length of an
+            episode.
         """
         running = self.target.with_discount(1.0)
         visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
@@ -140,16 +177,29 @@ class Family:
 
     @cached_property
     def data_distribution(self) -> Array:
-        """(S, A): the share of each (s, a) among the transitions that the episodes
-        record, exactly.
+        """Return the share of each state-action pair among the recorded transitions.
+
+        Returns
+        -------
+        ndarray of shape (S, A)
+            The exact shares; they sum to 1.
         """
         return np.asarray(
             self.moves_per_state_action / self.moves_per_state_action.sum()
         )
 
     def size(self, per_row: float) -> int:
-        """The number of transitions of a log with ``per_row`` per stochastic pair, at
-        least 1.
+        """Return the number of transitions of a log of a relative size.
+
+        Parameters
+        ----------
+        per_row : float
+            Number of transitions per stochastic state-action pair.
+
+        Returns
+        -------
+        int
+            The rounded number of transitions, at least 1.
         """
         return max(
             1,
@@ -157,13 +207,22 @@ class Family:
         )
 
     def log(self, n: int, seed: Seed) -> Transitions:
-        """Exactly ``n`` transitions of the data policy in the target: episodes, each
-        cut at ``length``, the last at n.
+        """Record exactly ``n`` transitions of the data policy in the target.
+
+        The log consists of episodes, each cut at ``length`` steps, the last one where
+        the log is full.
 
         Parameters
         ----------
-        n : positive int
-        seed : anything that ``numpy.random.default_rng`` takes
+        n : int
+            Number of transitions, at least 1.
+        seed : int, Generator or other seed
+            Anything that ``numpy.random.default_rng`` takes.
+
+        Returns
+        -------
+        Transitions
+            The log, with episodes, time steps and behaviour probabilities.
         """
         size = _checks.positive_integer(n, "n")
         generator = _checks.generator(seed)
@@ -184,7 +243,20 @@ class Family:
             episodes *= 2
 
     def problem(self, n: int, seed: Seed) -> Problem:
-        """The problem of ``log(n, seed)``."""
+        """Return the problem that estimators are given with a new log.
+
+        Parameters
+        ----------
+        n : int
+            Number of transitions, at least 1.
+        seed : int, Generator or other seed
+            Anything that ``numpy.random.default_rng`` takes.
+
+        Returns
+        -------
+        Problem
+            The simulator with ``log(n, seed)``, the horizon and the data policy.
+        """
         return Problem(
             self.simulator,
             self.log(n, seed),
@@ -238,14 +310,26 @@ def pair(
     policy: Array | None = None,
     horizon: int | None = None,
 ) -> Family:
-    """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest
-    uniform.
+    """Make a family whose policy is a mixture of the simulator's optimum and uniform.
 
     Parameters
     ----------
-    target : FiniteMDP, or its transitions (then with the simulator's rewards)
-    recorded : the share of the policy in what records the target; the rest is uniform
-    policy : instead of the optimum
+    about : str
+        One sentence that says what the simulator has wrong.
+    simulator : FiniteMDP
+        The model that estimators are given.
+    target : FiniteMDP, or its transitions
+        Transitions alone get the simulator's rewards.
+    optimal : float, default 0.9
+        The share of the optimum in the policy.
+    recorded : float, default 0.5
+        The share of the policy in what records the target; the rest is uniform.
+    length : int, default 200
+        Number of steps after which a recorded episode is cut, without a horizon.
+    policy : ndarray of shape (S, A), optional
+        The policy in place of the mixture.
+    horizon : int, optional
+        Number of rewards of the value; None means the infinite discounted sum.
     """
     if not isinstance(target, FiniteMDP):
         target = simulator.with_transitions(target)
@@ -275,23 +359,33 @@ def shift(
     ends: Collection[int] = (),
     **options: Any,
 ) -> Maker:
-    """What makes a family of two models that differ in the parameters of their
-    transitions.
+    """Return a maker of a family of two models that differ in some parameters.
 
     Parameters
     ----------
-    shape : (S, A)
-    rewards : as of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s')
-        on the support
-    believed, real : the simulator's and the target's parameters; ``real`` may be a
-        function that draws them from a generator
-    moves : function of the states s (S, 1, 1), the actions a (1, A, 1) and the
-        parameters that gives pairs (probability, next state), each broadcast to (S, A,
-        K), K possible next states at once; equal ones are added up, and what lies
-        beyond the first or last state is that state
-    start : states in which episodes begin, evenly
-    ends : states in which an episode is over
-    about, options : as in ``pair``
+    about : str
+        One sentence that says what the simulator has wrong.
+    shape : tuple of int
+        The numbers (S, A) of states and actions.
+    rewards : array or callable
+        As of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s') on
+        the support.
+    discount : float
+        The discount of both models.
+    believed, real : tuple, or callable for ``real``
+        The simulator's and the target's parameters; ``real`` may be a function that
+        draws them from a generator.
+    moves : callable
+        Function of the states s (S, 1, 1), the actions a (1, A, 1) and the parameters
+        that gives pairs (probability, next state), each broadcast to (S, A, K), K
+        possible next states at once. Equal ones are added up, and what lies beyond the
+        first or last state is that state.
+    start : index of states, optional
+        States in which episodes begin, with equal probability; all by default.
+    ends : collection of int, optional
+        Terminal states.
+    **options
+        As in ``pair``.
     """
     n_states, n_actions = shape
     s, a = np.ogrid[:n_states, :n_actions, :1][:2]
@@ -300,6 +394,7 @@ def shift(
     initial[start] = 1.0
 
     def model(parameters: Any) -> FiniteMDP:
+        """Return the model with these parameters."""
         parts = [
             (is_over, s),
             *((np.where(is_over, 0.0, p), to) for p, to in moves(s, a, *parameters)),
@@ -326,23 +421,24 @@ def shift(
         return FiniteMDP(transitions, paid, normalize(initial), discount)
 
     def build(parameters: Any) -> Family:
+        """Return the family of a target with these parameters."""
         return pair(about, model(believed), model(parameters), **options)
 
     return (lambda rng: build(real(rng))) if callable(real) else (lambda: build(real))
 
 
 def scale_rows(matrix: sparse.csr_array) -> sparse.csr_array:
-    """Rows that sum to 1."""
+    """Scale each row of a matrix to sum to 1."""
     return csr_on_pattern(matrix, matrix.data / row_sums(matrix)[row_of_entry(matrix)])
 
 
 def normalize(table: Array) -> Array:
-    """Rows along the last axis that sum to 1."""
+    """Scale a table to sum to 1 along its last axis."""
     return np.asarray(table / table.sum(axis=-1, keepdims=True))
 
 
 def poisson(mean: Any, largest: Any) -> Array:
-    """Pr(min(N, largest) = k), k along the last axis."""
+    """Return Pr(min(N, largest) = k) of a Poisson number N, k along the last axis."""
     k = np.arange(np.max(largest) + 1)
     return np.where(
         k < largest,
@@ -352,7 +448,7 @@ def poisson(mean: Any, largest: Any) -> Array:
 
 
 def binomial(n: Any, probability: Any) -> Array:
-    """Pr(N = k), k along the last axis."""
+    """Return Pr(N = k) of a binomial number N, k along the last axis."""
     k = np.arange(np.max(n) + 1)
     return np.where(
         k <= n,
@@ -364,15 +460,16 @@ def binomial(n: Any, probability: Any) -> Array:
 
 
 def cross(one: Array, other: Array) -> Array:
-    """The joint distribution of two independent parts, the second varying faster, along
-    the last axis.
+    """Return the joint distribution of two independent parts, along the last axis.
+
+    The second part varies faster.
     """
     joint = one[..., :, None] * other[..., None, :]
     return joint.reshape(*joint.shape[:-2], -1)
 
 
 def check_seed(seed: Any) -> int:
-    """An integer from 0, or ValueError."""
+    """Return a seed that is an integer from 0, or raise ValueError."""
     if not _checks.is_integer(seed) or seed < 0:
         raise ArgumentError(
             "seed", f"must be an integer from 0; got {_checks.show(seed)}"
