@@ -1,5 +1,4 @@
-"""Experiments as data: settings, a function from one cell of them to rows; tables,
-figures and pages made of the rows.
+"""Experiments as data: settings, a function from a cell of them to rows, and figures.
 
 The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns
 the rows of one cell; all its random numbers come from ``stream``, which knows the cell
@@ -31,12 +30,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Stream:
-    """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words,
-    repetition))``.
+    """Random numbers of a cell.
 
-    The words are a digest of the experiment's id, of the settings named (all of the
-    cell's by default; cells that name the same ones share their random numbers) and of
-    what they are for (``use``): numbers for different uses are independent.
+    They are those of ``numpy.random.SeedSequence(seed, spawn_key=(words,
+    repetition))``. The words are a digest of the experiment's id, of the settings named
+    (all of the cell's by default; cells that name the same ones share their random
+    numbers) and of what they are for (``use``): numbers for different uses are
+    independent.
     """
 
     experiment: str
@@ -44,7 +44,10 @@ class Stream:
     cell: Cell
 
     def sequence(self, *names: str, use: str = "") -> np.random.SeedSequence:
-        """The seed sequence of the named settings of the cell; of all without names."""
+        """Return the seed sequence of the named settings of the cell.
+
+        Without names it is that of all settings.
+        """
         settings = {
             name: self.cell[name] for name in names or self.cell if name != "repetition"
         }
@@ -56,33 +59,48 @@ class Stream:
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
     def generator(self, *names: str, use: str = "") -> np.random.Generator:
-        """A new generator of ``sequence(*names, use=use)``; the same call gives the
-        same numbers again.
+        """Return a new generator of ``sequence(*names, use=use)``.
+
+        The same call gives the same numbers again.
         """
         return np.random.default_rng(self.sequence(*names, use=use))
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One figure or table.
+    """Definition of one figure or table.
 
     Attributes
     ----------
-    id, title : as in ``oee reproduce ID``; the title is that of the summary
-    axes : name -> values; repetitions : seeds of each cell of the axes
-    smoke : name -> values of a smoke run, of one seed; the first of an axis that is not
-        named
-    run : (cell, stream) -> rows; the cell's own settings are added to each row. Its
-        docstring is the caption
-    keys : columns that tell the points of the summary apart; measures : numbers that
-        are averaged over the repetitions, the first being what the experiment is about
-    draw : (table, summary, figure) -> None
-    finding : table -> what its rows show, in their own numbers, a line: the figure's
-        title
-    paper : row of the summary -> the paper's number (nan: none published)
-    group : "gridworld" | "gymnasium" | "sureness" | "continuous" | "bench"
-    requires : modules that the cells import and that an installation may lack; extra :
-        what installs them, where it is not called as the module is
+    id, title : str
+        As in ``oee reproduce ID``; the title is that of the summary.
+    axes : mapping of str to tuple
+        The values of each setting.
+    repetitions : int
+        Number of seeds of each cell of the axes.
+    smoke : mapping of str to tuple
+        The values of a smoke run, of one seed; an axis that is not named has its first
+        value.
+    run : callable
+        (cell, stream) -> rows; the cell's own settings are added to each row. Its
+        docstring is the caption.
+    keys : tuple of str
+        Columns that tell the points of the summary apart.
+    measures : tuple of str
+        Numbers that are averaged over the repetitions, the first being what the
+        experiment is about.
+    draw : callable
+        (table, summary, figure) -> None.
+    finding : callable
+        table -> what its rows show, in their own numbers, a line: the figure's title.
+    paper : callable, optional
+        Row of the summary -> the paper's number (nan where none was published).
+    group : str
+        One of "gridworld", "gymnasium", "sureness", "continuous" and "bench".
+    requires : tuple of str
+        Modules that the cells import and that an installation may lack.
+    extra : str
+        What installs them, where it is not called as the module is.
     """
 
     id: str
@@ -102,14 +120,15 @@ class Experiment:
 
     @property
     def caption(self) -> str:
-        """What the figure shows, in which units."""
+        """Return what the figure shows, and in which units."""
         return " ".join((self.run.__doc__ or "").split())
 
     def settings(
         self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0
     ) -> RunSettings:
-        """The full sweep, or its smoke subset; ``repetitions`` instead of the
-        experiment's own.
+        """Return the settings of the full sweep, or of its smoke subset.
+
+        ``repetitions`` replaces the experiment's own number.
         """
         first = {name: values[:1] for name, values in self.axes.items()}
         axes = {**self.axes, **first, **self.smoke} if smoke else self.axes
@@ -121,8 +140,9 @@ class Experiment:
 def experiment(
     title: str, *, draw: Any, **options: Any
 ) -> Callable[[Callable[[Cell, Stream], list[Row]]], Experiment]:
-    """Make the function below an experiment of its name; without ``finding``, that of
-    ``draw``, which is ``Panels``.
+    """Return a decorator that makes a function an experiment of its name.
+
+    Without ``finding`` the finding is that of ``draw``, which must be ``Panels``.
     """
     options = {"finding": getattr(draw, "find", None), **options}
     return lambda run: Experiment(
@@ -132,11 +152,23 @@ def experiment(
 
 @dataclass(frozen=True, eq=False)
 class RunSettings:
-    """What a results folder is made from.
+    """Settings that a results folder is made from.
 
-    ``asked`` are settings that are no axes (JSON's types): results of others are not
-    taken for these. ``modules`` are a user's modules that the cells run: their files
-    are part of the code.
+    Attributes
+    ----------
+    experiment : Experiment
+        The experiment that is run.
+    axes : mapping of str to tuple
+        The values of each setting in this run.
+    repetitions : int
+        Number of seeds of each cell.
+    seed : int
+        The seed of all random numbers.
+    asked : mapping of str
+        Settings that are no axes (of JSON's types); results of others are not taken for
+        these.
+    modules : tuple of str
+        A user's modules that the cells run: their files are part of the code.
     """
 
     experiment: Experiment
@@ -147,7 +179,7 @@ class RunSettings:
     modules: tuple[str, ...] = ()
 
     def cells(self) -> list[Cell]:
-        """Every cell, in the order of the table."""
+        """Return every cell, in the order of the table."""
         axes = {**self.axes, "repetition": range(self.repetitions)}
         return [
             dict(zip(axes, point, strict=True))
@@ -155,7 +187,7 @@ class RunSettings:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """For a JSON file."""
+        """Return the settings as a dict for a JSON file."""
         axes = {name: list(values) for name, values in self.axes.items()}
         own = {
             "experiment": self.experiment.id,
@@ -173,29 +205,46 @@ SIZE = (4.8, 3.9)  # of a panel, inches
 
 @dataclass(frozen=True)
 class Panels:
-    """Curves of a table against one of its columns, in a panel for each group of its
-    rows: a figure of an experiment.
+    """Figure of an experiment: curves of a table against one of its columns.
+
+    There is a panel for each group of the table's rows.
 
     Attributes
     ----------
-    y, x : columns; a point is the mean over the rows of an x (the seeds)
-    curves : the column that tells the curves apart; None: there are those of ``extra``
-        alone
-    by : columns that tell the groups apart
-    title : of a panel, with columns of ``by`` in braces; None: their names and values
-    xlabel, ylabel : with units
-    extra : name -> another column of y, over all rows
-    how : what a point is over the rows, as pandas' ``agg`` takes it
-    bands : whether the smallest and the largest row of each point are shown
-    only : rows -> those that are drawn
-    log : whether y is logarithmic; what is not positive is left out
-    slope : of a line in logarithmic axes through the first curve's first point; None:
-        none
-    beneath : (ax, rows) -> draws first what is no curve of the table
-    axes : further settings, as ``Axes.set`` takes them
-    beside : further panels for each group, whose ``by``, ``columns`` and ``size`` are
-        this one's
-    columns : panels side by side, None: all; size : of a panel, inches
+    y, x : str
+        Columns; a point is the mean over the rows of an x (the seeds).
+    curves : str, optional
+        The column that tells the curves apart. None draws those of ``extra`` alone.
+    by : tuple of str
+        Columns that tell the groups apart.
+    title : str, optional
+        Title of a panel, with columns of ``by`` in braces. None means their names and
+        values.
+    xlabel, ylabel : str
+        Labels with units.
+    extra : mapping of str to str
+        Name -> another column of y, over all rows.
+    how : str or callable
+        What a point is over the rows, as pandas' ``agg`` takes it.
+    bands : bool
+        Whether the smallest and the largest row of each point are shown.
+    only : callable
+        rows -> those that are drawn.
+    log : bool
+        Whether y is logarithmic; what is not positive is left out.
+    slope : float, optional
+        Slope of a line in logarithmic axes through the first curve's first point.
+    beneath : callable, optional
+        (ax, rows) -> draws first what is no curve of the table.
+    axes : mapping of str
+        Further settings, as ``Axes.set`` takes them.
+    beside : sequence of Panels
+        Further panels for each group, whose ``by``, ``columns`` and ``size`` are this
+        one's.
+    columns : int, optional
+        Number of panels side by side; None puts all of them in one line.
+    size : tuple of float
+        Width and height of a panel in inches.
     """
 
     y: str
@@ -237,8 +286,9 @@ class Panels:
             panel._draw(panel.only(rows), ax)
 
     def find(self, table: pd.DataFrame) -> str:
-        """The three lowest curves at the largest x: "RMSE at n = 31623: 0.0041
-        (default), 0.012 (simulator)".
+        """Return the three lowest curves at the largest x.
+
+        The text is as "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)".
         """
         rows = self.only(table)
         last = rows[self.x].max()
@@ -251,6 +301,7 @@ class Panels:
         return f"{self.ylabel} at {self.x} = {last:g}: {listed(values.head(3))}"
 
     def _draw(self, rows: pd.DataFrame, ax: Any) -> None:
+        """Draw the curves of these rows."""
         by_x = rows.groupby(self.x)
         curves = {name: by_x[column].mean() for name, column in self.extra.items()}
         bands = {}
@@ -297,7 +348,7 @@ def panels(
     columns: int | None = None,
     size: tuple[float, float] = SIZE,
 ) -> list[Any]:
-    """Titled axes side by side, each of ``size`` inches."""
+    """Return titled axes side by side, each of ``size`` inches."""
     across = len(names) if columns is None else min(columns, len(names))
     down = -(-len(names) // across)
     figure.set_size_inches(size[0] * across, size[1] * down)
@@ -313,7 +364,7 @@ def panels(
 
 
 def number(x: float) -> str:
-    """Two digits, as people write them.
+    """Write a number with two digits, as people do.
 
     >>> number(0.00412), number(31.4), number(612.0), number(3.2e7)
     ('0.0041', '31', '612', '3.2e+07')
@@ -322,7 +373,7 @@ def number(x: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share, in per cent.
+    """Write a share in per cent.
 
     >>> percent(0.9761), percent(0.0041)
     ('98%', '0.41%')
@@ -331,7 +382,7 @@ def percent(share: float) -> str:
 
 
 def reach(values: Iterable[float], write: Callable[[float], str] = number) -> str:
-    """From the smallest to the largest.
+    """Write the range from the smallest to the largest value.
 
     >>> reach([0.5, 0.1, 0.3]), reach([0.5])
     ('0.1 to 0.5', '0.5')
@@ -341,7 +392,10 @@ def reach(values: Iterable[float], write: Callable[[float], str] = number) -> st
 
 
 def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> str:
-    """Each value with its name, in their order: "0.01 (default), 0.2 (simulator)"."""
+    """Write each value with its name, in their order.
+
+    The text is as "0.01 (default), 0.2 (simulator)".
+    """
     return ", ".join(f"{write(x)} ({name})" for name, x in values.items())
 
 
@@ -351,8 +405,10 @@ TITLE_SIZE = 12.0  # points at most
 
 
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
-    """Mean, sd, standard error of the measures and number of seeds at each point; the
-    paper's number, and ours / paper.
+    """Summarize the measures at each point over the seeds.
+
+    Each measure has its mean, standard deviation and standard error. There are the
+    number of seeds and, where the paper has one, its number and ours / paper.
     """
     grouped = table.groupby(list(experiment.keys), sort=False, dropna=False)
     parts: list[Any] = [grouped.size().rename("seeds")]
@@ -371,14 +427,16 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
 
 
 def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
-    """What is made of the rows of a sweep, by the names of the files; the same bytes
-    for the same table.
+    """Return what is made of the rows of a sweep, by the names of the files.
+
+    The same table gives the same bytes.
     """
     experiment = settings.experiment
     summary = summary_of(experiment, table)
     finding = experiment.finding(table)
 
     def draw(figure: Any) -> None:
+        """Draw the experiment's figure with one legend and its finding as title."""
         experiment.draw(table, summary, figure)
         share_legend(figure)
         set_title(figure, finding)
@@ -397,7 +455,7 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
 def draw_bytes(
     draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
 ) -> dict[str, bytes]:
-    """The bytes of the figure that ``draw`` makes, by kind, without a date."""
+    """Return the bytes of the figure that ``draw`` makes, by kind, without a date."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -414,8 +472,9 @@ def draw_bytes(
 
 
 def share_legend(figure: Any) -> None:
-    """One legend below the panels instead of one in each, where one panel has the
-    series of all and more than three.
+    """Draw one legend below the panels instead of one in each.
+
+    This is done where one panel has the series of all and more than three.
     """
     drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
     entries = [
@@ -440,7 +499,7 @@ def share_legend(figure: Any) -> None:
 
 
 def set_title(figure: Any, text: str) -> None:
-    """The title of a whole figure: one line, in letters small enough for its width."""
+    """Set the title of a whole figure in letters small enough for one line."""
     if text:
         title = figure.suptitle(text, fontsize=TITLE_SIZE)
         title.set_parse_math(False)
@@ -449,8 +508,9 @@ def set_title(figure: Any, text: str) -> None:
 
 
 def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
-    """The summary as markdown: its title, the figure with what it shows, how it was
-    made, the numbers.
+    """Return the summary as markdown.
+
+    It has the title, the figure with what it shows, how it was made, and the numbers.
     """
     experiment = settings.experiment
     is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
@@ -474,9 +534,10 @@ def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
 
 
 def pipe_table(frame: pd.DataFrame) -> str:
-    """A markdown table."""
+    """Return a table in markdown."""
 
     def text(value: object) -> str:
+        """Write a cell, with four digits of a float; nan is empty."""
         if isinstance(value, float):
             return "" if np.isnan(value) else f"{value:.4g}"
         return str(value).replace("|", "\\|")

@@ -1,5 +1,4 @@
-"""Sweeps: the cells of an experiment through joblib, on this machine or on a dask
-cluster, and the folder that keeps them.
+"""Runner of experiments: cells through joblib or dask, and the folder that keeps them.
 
 Every cell runs with one BLAS thread, and draws its numbers from its own stream: serial,
 processes and cluster give the same bits. Finished cells are written by this process as
@@ -83,11 +82,10 @@ DAMAGE = (
 
 @functools.cache
 def code_version(*modules: str) -> str:
-    """The package's version and a digest of its files: what a result depends on,
-    besides the settings and the libraries.
+    """Return the package's version and a digest of its files.
 
-    The files of a user's ``modules`` count as well, each by itself (not what it
-    imports).
+    A result depends on them, besides the settings and the libraries. The files of a
+    user's ``modules`` count as well, each by itself (not what it imports).
     """
     digest = hashlib.sha256()
     for path in sorted(
@@ -111,8 +109,9 @@ def code_version(*modules: str) -> str:
 def refuse_links(
     folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_folders: bool = False
 ) -> None:
-    """ValueError where what a run writes is a link, or no plain file (no folder): it
-    could lead out of the folder.
+    """Raise ValueError where a file that a run writes is a link or no plain file.
+
+    It could lead out of the folder. With ``are_folders`` the names must be folders.
     """
     if folder.exists() and not folder.is_dir():
         raise ArgumentError(f"{folder}", "must be a folder; it is a file")
@@ -128,10 +127,10 @@ def refuse_links(
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold ``folder``, made where it is not there; ValueError where another command
-    does, or a file in it is a link.
+    """Hold ``folder``, which is made where it is missing.
 
-    The lock is the system's: it ends with the process that holds it, however it dies.
+    ValueError says that another command holds it, or that a file in it is a link. The
+    lock is the system's: it ends with the process that holds it, however it dies.
     """
     from filelock import FileLock, Timeout
 
@@ -167,20 +166,34 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 class Store:
-    """The finished cells of a results folder.
+    """Finished cells of a results folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The results folder; it need not exist.
+    settings : RunSettings
+        What the folder's results must be made from.
+    fresh : bool, default False
+        Whether the folder is emptied first.
+    code : str, optional
+        The version of the code, as ``code_version`` returns it.
 
     Attributes
     ----------
-    stale : lines of other code, which are kept; damaged : lines that do not fit, which
-        are left out
-    computed, cached : cells that a run computed, and that it took from here
+    stale : int
+        Number of lines of other code, which are kept.
+    damaged : int
+        Number of lines that do not fit, which are left out.
+    computed, cached : int
+        Numbers of cells that a run computed, and that it took from here.
 
     Raises
     ------
     ValueError
-        The folder holds results of other settings (the difference is named), unless
-        ``fresh``, which empties it first. More repetitions are no other settings, nor
-        are fewer where the sweep was interrupted: finished cells are kept.
+        If the folder holds results of other settings (the difference is named), unless
+        ``fresh`` is given. More repetitions are no other settings, nor are fewer where
+        the sweep was interrupted: finished cells are kept.
     """
 
     def __init__(
@@ -191,6 +204,7 @@ class Store:
         fresh: bool = False,
         code: str | None = None,
     ):
+        """Read the finished cells of the folder."""
         self.folder = folder
         self.settings = settings
         self.code = code_version(*settings.modules) if code is None else code
@@ -209,6 +223,7 @@ class Store:
         self.stale = len(self._others)
 
     def __str__(self) -> str:
+        """Return how many cells were computed, taken from here and left out."""
         text = f"{self.folder}: {self.computed} cells computed"
         text += f", {self.cached} from the cache" if self.cached else ""
         text += (
@@ -223,6 +238,7 @@ class Store:
         )
 
     def _empty(self) -> None:
+        """Remove the results; ValueError where other files are in the folder."""
         present = [path for path in self.folder.iterdir() if path.name != LOCK]
         if present and not (self.folder / SETTINGS).is_file():
             raise ArgumentError(
@@ -244,7 +260,7 @@ class Store:
             path.unlink()
 
     def _compare(self) -> None:
-        """ValueError where the folder has other settings, with the difference."""
+        """Raise ValueError with the difference where the folder has other settings."""
         there = _read_settings(self.folder / SETTINGS)
         asked = _flatten(self.settings.as_dict())
         names = [
@@ -266,7 +282,7 @@ class Store:
         )
 
     def _read(self, line: bytes) -> None:
-        """One line of cells.jsonl: a finished cell, one of other code, or damaged."""
+        """Read one line of cells.jsonl and keep it, or count it as damaged."""
         try:
             content = json.loads(line)["content"]
             cell = content["of"]["cell"]
@@ -285,8 +301,9 @@ class Store:
             self._others.append(line.decode() + "\n")
 
     def _fits(self, cell: Cell, rows: list[Row]) -> bool:
-        """Whether it is a cell of the axes, and its rows hold plain values, every key,
-        and numbers as measures.
+        """Return whether a cell is one of the axes and its rows are as they must be.
+
+        Rows hold plain values, every key, and numbers as measures.
         """
         experiment = self.settings.experiment
         axes = self.settings.axes
@@ -313,8 +330,9 @@ class Store:
         return True
 
     def open(self) -> None:
-        """Make the folder and say what it will hold; what did not fit leaves
-        cells.jsonl.
+        """Make the folder and write what it will hold.
+
+        Lines that did not fit leave cells.jsonl.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
@@ -330,6 +348,7 @@ class Store:
         )
 
     def _line(self, cell: Cell, rows: list[Row], code: str) -> str:
+        """Return the line of cells.jsonl of a finished cell."""
         settings = self.settings
         own = {
             "experiment": settings.experiment.id,
@@ -343,8 +362,9 @@ class Store:
         return json.dumps({"content": content, "sha256": digest}) + "\n"
 
     def missing(self) -> list[Cell]:
-        """The cells that are still to be computed, one repetition of all after the
-        other.
+        """Return the cells that are still to be computed.
+
+        One repetition of all comes after the other.
         """
         left = [cell for cell in self.settings.cells() if _name(cell) not in self._done]
         return sorted(left, key=lambda cell: cell["repetition"])
@@ -372,7 +392,7 @@ class Store:
         _files.write_all(self.folder, contents)
 
     def table(self) -> pd.DataFrame:
-        """All rows, in the order of the cells, each with its cell's settings first."""
+        """Return all rows in the order of the cells, each with its settings first."""
         missing = len(self.missing())
         cells = self.settings.cells()
         if missing:
@@ -386,11 +406,12 @@ class Store:
 
 
 def _name(cell: Cell) -> str:
+    """Return the name of a cell: its settings as JSON."""
     return json.dumps(dict(cell), sort_keys=True)
 
 
 def _read_settings(path: Path) -> dict[str, Any]:
-    """The settings of a results folder by name; ValueError where the file has none."""
+    """Read the settings of a results folder, or raise ValueError."""
     with contextlib.suppress(*DAMAGE):
         settings = json.loads(path.read_bytes())
         if isinstance(settings["experiment"], str) and isinstance(
@@ -405,6 +426,7 @@ def _read_settings(path: Path) -> dict[str, Any]:
 
 
 def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings as one mapping: own settings, then axes, then what was asked."""
     own = {name: settings.get(name) for name in ("experiment", "repetitions", "seed")}
     return (
         own
@@ -428,8 +450,9 @@ def run_and_write(
     say: Callable[[str], object],
     **options: Any,
 ) -> None:
-    """What both commands do in a folder that is theirs alone: compute, write the files,
-    say what was done.
+    """Compute the cells of a folder that is this command's alone, and write its files.
+
+    Both commands use it; it says what was done.
     """
     start = time.perf_counter()
     with alone(folder):
@@ -490,7 +513,7 @@ def run_experiment(
 
 
 def require_modules(experiment: Experiment) -> None:
-    """ImportError that names the extra where an experiment's modules are missing."""
+    """Raise ImportError that names the extra where modules are missing."""
     missing = [
         name for name in experiment.requires if importlib.util.find_spec(name) is None
     ]
@@ -504,7 +527,7 @@ def require_modules(experiment: Experiment) -> None:
 def _compute(
     store: Store, left: dict[int, Cell], jobs: int, dask: str | None, bar: Any
 ) -> None:
-    """Compute and keep the cells; those of a worker that was killed are tried again."""
+    """Compute and keep the cells; those of a killed worker are tried again."""
     settings = store.settings
     own = store.settings.experiment
     attempt = 0
@@ -545,8 +568,9 @@ def _run_cell(
     modules: tuple[str, ...],
     code: str,
 ) -> tuple[int, list[Row]]:
-    """The rows of one cell, with one thread; refused where the package is another
-    version than the one that asks.
+    """Compute the rows of one cell with one thread.
+
+    It is refused where the package is another version than the one that asks.
     """
     from threadpoolctl import threadpool_limits
 
@@ -563,8 +587,9 @@ def _run_cell(
 
 
 def _check_workers(client: Any) -> None:
-    """Every worker that is there now has this code; those that come later are checked
-    by their first cell.
+    """Check that every worker that is there now has this code.
+
+    Those that come later are checked by their first cell.
     """
     for address, threads in client.nthreads().items():
         if threads > 1:
@@ -577,6 +602,7 @@ def _check_workers(client: Any) -> None:
 
 
 def _refuse_other_code(worker: str, found: object, asked: str) -> None:
+    """Raise RuntimeError where a worker has another version of the package."""
     if found != asked:
         raise RuntimeError(
             f"{worker} must have this version of oee_tabular, {asked}; it has {found}"
@@ -586,8 +612,9 @@ def _refuse_other_code(worker: str, found: object, asked: str) -> None:
 
 @contextlib.contextmanager
 def _hold_interrupts() -> Iterator[None]:
-    """Processes that are started here are not interrupted by Ctrl-C: this one is, and
-    ends them.
+    """Start processes that Ctrl-C does not interrupt.
+
+    This process is interrupted, and ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

@@ -1,5 +1,4 @@
-"""The experiments of ``oee reproduce``: the paper's figures and more, on numbered
-states and on its robots.
+"""Experiments of ``oee reproduce``: the paper's figures and more.
 
 ``values`` and ``zeta`` hold those of the paper's grid and of toy text, ``sureness``
 those of intervals and plans; ``cartpole``, ``reacher`` and ``kinova`` (a simulated
@@ -27,15 +26,21 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
 
     Parameters
     ----------
-    name : the experiment's id; in a clone, any in ``notebooks/results``
-    table : "table", every seed, or "summary", their means
-        Without a clone there are "table" of fig2, fig3 and networks, and "summary" of
-        fig3 and table1.
+    name : str
+        The experiment's id; in a clone, any in ``notebooks/results``.
+    table : {'table', 'summary'}, default 'table'
+        Every seed, or their means. Without a clone there are "table" of fig2, fig3 and
+        networks, and "summary" of fig3 and table1.
+
+    Returns
+    -------
+    DataFrame
+        The rows of the saved file.
 
     Raises
     ------
     ValueError
-        No such table is installed.
+        If no such table is installed.
 
     Examples
     --------
@@ -58,20 +63,31 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
 def table(
     name: str, *, repetitions: int = 1, seed: int = 0, **axes: object
 ) -> pd.DataFrame:
-    """Some cells of an experiment, computed here and now: the rows that ``oee
-    reproduce`` gives for them.
+    """Compute some cells of an experiment here and now.
+
+    The rows are those that ``oee reproduce`` gives for them.
 
     Parameters
     ----------
-    name : the experiment's id, as ``oee reproduce --list`` has it
-    repetitions : logs of each cell, numbered from 0
-    seed : of all random numbers
-    axes : settings by name, a value or several; those not named in full
+    name : str
+        The experiment's id, as ``oee reproduce --list`` has it.
+    repetitions : int, default 1
+        Number of logs of each cell, numbered from 0.
+    seed : int, default 0
+        The seed of all random numbers.
+    **axes
+        Settings by name, a value or several of each. An axis that is not named has all
+        its values.
+
+    Returns
+    -------
+    DataFrame
+        A row for each row of each cell, with the cell's settings first.
 
     Raises
     ------
     ValueError
-        An id or an axis that is not there.
+        If an id or an axis is not there.
 
     Examples
     --------

@@ -1,11 +1,13 @@
-"""CartPole under four gravities (fig2); what estimates cost in grid, data and data
-quality; how they were configured.
+"""CartPole under four gravities (fig2), and what its estimates depend on.
+
+Other experiments vary the grid, the data and their quality, and the configuration.
 
 Every estimate is made from one log in one documented configuration, the same for every
 gravity and n:
 
-    32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the log's own places, floor 0.001,
-    zeta from soft counts with prior "simulator" and strength 0.01, exact evaluation, calibrated by the ratio.
+    32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the
+    log's own places, floor 0.001, zeta from soft counts with prior "simulator" and
+    strength 0.01, exact evaluation, calibrated by the ratio.
 
 ``cartpole_choice`` compares others on logs that no other experiment reports. Moves from
 or to states outside the grid, one in a million, are left out; ends of the track, which
@@ -15,7 +17,9 @@ truth, means of 400 000 episodes with standard errors of at most 3e-4, is in
 ``cartpole_truth.csv``. The simulator's own value, which calibration needs, has other
 random numbers than the truth that estimates are held to.
 
-    python -m oee_tabular.lab.experiments.cartpole     makes the table again, the same to the last bit (five minutes)
+    python -m oee_tabular.lab.experiments.cartpole
+
+makes the table again, the same to the last bit (five minutes).
 """
 
 from __future__ import annotations
@@ -79,7 +83,7 @@ CASES = {
 def simulate_truth(
     case: str, gravity: float, delta: float, episodes: int = EPISODES
 ) -> MonteCarlo:
-    """One value of the table, with its own random numbers."""
+    """Simulate one value of the table, with its own random numbers."""
     _, noise, deterministic = CASES[case]
     words = hashlib.sha256(f"cartpole {case} {gravity:g} {delta:g}".encode()).digest()
     return monte_carlo_value(
@@ -93,7 +97,10 @@ def simulate_truth(
 
 
 def make_truths(episodes: int = EPISODES) -> pd.DataFrame:
-    """The whole table: case, gravity, delta, value, standard_error, episodes."""
+    """Simulate the whole table of true values.
+
+    Its columns are case, gravity, delta, value, standard_error and episodes.
+    """
     rows = []
     for case, (gravities, _, _) in CASES.items():
         for gravity, delta in itertools.product(gravities, DELTAS):
@@ -109,12 +116,12 @@ def make_truths(episodes: int = EPISODES) -> pd.DataFrame:
 
 @functools.cache
 def truth_table() -> pd.DataFrame:
-    """The shipped table."""
+    """Load the true values that are shipped."""
     return pd.read_csv(Path(__file__).with_name("cartpole_truth.csv"))
 
 
 def true_values(case: str, gravity: float, column: str = "value") -> Array:
-    """(6,) values at each of ``DELTAS``, or their standard errors."""
+    """Return the true values (6,) at each of ``DELTAS``, or their standard errors."""
     own = (
         truth_table()
         .query("case == @case and gravity == @gravity")
@@ -136,7 +143,7 @@ RESIDUAL = "residual"
 
 
 def exact_values(mdp: FiniteMDP, policies: Iterable[Array]) -> Array:
-    """(1 - discount) times the value of each policy."""
+    """Compute (1 - discount) times the value of each policy."""
     return np.array(
         [
             policy_value(mdp, policy, horizon=HORIZON, normalized=True)
@@ -146,15 +153,17 @@ def exact_values(mdp: FiniteMDP, policies: Iterable[Array]) -> Array:
 
 
 def policies_of(model: Discretization) -> list[Array]:
-    """The six policies of ``DELTAS`` on the model's states."""
+    """Return the six policies of ``DELTAS`` on the model's states."""
     return [model.policy(cartpole_policy(delta)) for delta in DELTAS]
 
 
 def calibrate(
     name: str, mdp: FiniteMDP, simulator: FiniteMDP, policies: list[Array]
 ) -> dict[str, Array]:
-    """The values of a model; calibrated: times the simulator's own value, by Monte
-    Carlo / its value on the same cells.
+    """Compute the values of a model, raw and calibrated.
+
+    Calibrated values are multiplied by the simulator's own value, by Monte Carlo / its
+    value on the same cells.
     """
     raw, inside = (exact_values(model, policies) for model in (mdp, simulator))
     return {
@@ -170,8 +179,10 @@ def target_log(
     generator: np.random.Generator,
     behavior: float = BEHAVIOR,
 ) -> Any:
-    """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's
-    noise) or "gymnasium" (stepped, no noise).
+    """Record n transitions of the policy of delta = ``behavior``.
+
+    ``kind`` is "compiled" (our dynamics, the paper's noise) or "gymnasium" (stepped, no
+    noise).
     """
     policy = cartpole_policy(behavior)
     if kind == "gymnasium":
@@ -183,14 +194,18 @@ def target_log(
 
 
 def fine_values(task: ContinuousTask) -> Array:
-    """The values in a task of the angle, exact on a fine grid; noise is left at 0."""
+    """Compute the values in a task of the angle, exactly on a fine grid.
+
+    Noise is left at 0.
+    """
     model = discretize(task, cells=(FINE_VERTICES, FINE_VERTICES), closure_episodes=0)
     return exact_values(model.mdp, policies_of(model))
 
 
 def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) -> Array:
-    """Per decision, on the log's whole episodes, with the probabilities that policy and
-    behaviour have in each state.
+    """Estimate by per-decision importance sampling on the log's whole episodes.
+
+    The probabilities are those that policy and behaviour have in each state.
     """
     episode = log.columns()["episode"]
     is_cut = log.truncated & (log.columns()["timestep"] < HORIZON - 1)
@@ -207,11 +222,9 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Off-environment evaluation on cells at a log's places: the simulator there, its
-    zeta, and values raw and calibrated.
+    """Off-environment evaluation on cells at a log's places.
 
-    ``uncovered`` : share of the log's transitions without probability, which are left
-    out.
+    It has the simulator there, its zeta, and values raw and calibrated.
     """
 
     simulator: Discretization
@@ -228,8 +241,10 @@ def off_environment(
     strength: float = STRENGTH,
     form: str = "angle",
 ) -> Corrected:
-    """The documented configuration; or other cells and strength, or cells of the whole
-    state (``form`` "full").
+    """Estimate in the documented configuration.
+
+    Other cells and strength may be given, or cells of the whole state (``form``
+    "full").
     """
     task = CartPole(SIMULATED, form=form)
     with warnings.catch_warnings():
@@ -249,14 +264,9 @@ def off_environment(
 def estimates(
     log: ContinuousTransitions, gravity: float, *, noise: float
 ) -> tuple[dict[str, Array], Corrected]:
-    """Name -> (6,) values at each of ``DELTAS``; ``gravity`` and ``noise`` are for the
-    oracle alone.
+    """Return the estimates by name, (6,) values at each of ``DELTAS``.
 
-    model-based: the log's soft frequencies on the same cells; its calibration takes the
-    simulator through the same, seen in the log's places, and staying where the log was
-    never. oracle: the target itself there, what no log improves on. linear model:
-    (theta, theta') linear in theta, theta', the force and 1; it knows where the pole
-    has fallen.
+    ``gravity`` and ``noise`` are for the oracle alone.
     """
     found = off_environment(log)
     model = found.simulator
@@ -317,8 +327,9 @@ PAPERS_NAMES = {"OEE": "oee", "model-based": "mle", "IS": "is"}
 def rows_of(
     values: dict[str, Array], case: str, gravity: float, found: Corrected | None = None
 ) -> list[Row]:
-    """A row for each estimator: its mean |error| over the policies, and value and truth
-    of each.
+    """Return a row for each estimator.
+
+    It has the mean |error| over the policies, and value and truth of each.
     """
     truth = true_values(case, gravity)
     facts: Row = {
@@ -341,8 +352,9 @@ def rows_of(
 
 
 def published_error(gravity: float, estimator: str) -> float:
-    """Mean |error| of the paper's own curve from its own true curve; of the simulator,
-    between its two true curves.
+    """Compute the mean |error| of the paper's own curve from its own true curve.
+
+    That of the simulator is between its two true curves.
     """
     setting = f"gravity={gravity}"
     name = PAPERS_NAMES.get(estimator.partition(",")[0])
@@ -359,8 +371,9 @@ def published_error(gravity: float, estimator: str) -> float:
 
 
 def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Values and errors at each delta, under each gravity, of the largest logs of the
-    compiled target.
+    """Draw values and errors at each delta, under each gravity.
+
+    They are those of the largest logs of the compiled target.
     """
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
     shared: dict[str, Any] = {
@@ -396,12 +409,12 @@ def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
 
 
 def keep(*names: str) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    """What keeps the rows of these estimators."""
+    """Return a function that keeps the rows of these estimators."""
     return lambda rows: rows[rows.estimator.isin(names)]
 
 
 def finding_2(table: pd.DataFrame) -> str:
-    """Errors on the gravities that are not the simulator's, at the largest n."""
+    """Write the errors on gravities other than the simulator's, at the largest n."""
     n = table.n.max()
     own = table[
         (table.target == "compiled") & (table.n == n) & (table.gravity != SIMULATED)
@@ -421,8 +434,9 @@ def finding_2(table: pd.DataFrame) -> str:
 
 
 def smallest(table: pd.DataFrame, column: str) -> pd.Series[float]:
-    """The mean errors by the values of a column, the least first; the simulator's own
-    left out.
+    """Return the mean errors by the values of a column, the least first.
+
+    The simulator's own is left out.
     """
     return (
         table[table.estimator != "simulator"]
@@ -481,7 +495,10 @@ FULL_STRENGTH = 1.0  # of zeta on cells of the whole state
 
 
 def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Errors against n, raw and calibrated; without data they are in the table."""
+    """Draw errors against n, raw and calibrated.
+
+    Those without data are in the table.
+    """
     panel = Panels(
         "error",
         "states",

@@ -1,4 +1,4 @@
-"""All experiments by id; ``oee reproduce``: choose, run, write."""
+"""Catalogue of all experiments by id, and ``oee reproduce``, which runs them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ EXPERIMENTS: dict[str, Experiment] = {
 
 
 def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment]:
-    """The experiments of these ids, or of these groups, each once."""
+    """Return the experiments of these ids, or of these groups, each once."""
     known = ", ".join(EXPERIMENTS)
     members = [
         [own.id for own in EXPERIMENTS.values() if own.group == name] or [name]
@@ -84,7 +84,7 @@ def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment
 
 
 def listing() -> str:
-    """Ids, cells of the full sweep, and titles, by group."""
+    """List ids, numbers of cells of the full sweep, and titles, by group."""
     lines = []
     for group, members in itertools.groupby(
         EXPERIMENTS.values(), key=lambda experiment: experiment.group

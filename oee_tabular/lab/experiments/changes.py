@@ -1,5 +1,6 @@
-"""changes: what estimates are worth on changes and tasks that nobody tuned for; and how
-often their intervals hold.
+"""Experiments on changes and tasks that nobody tuned for: changes, residual_coverage.
+
+They show what estimates are worth there, and how often their intervals cover the truth.
 """
 
 from __future__ import annotations
@@ -58,15 +59,23 @@ class Change:
 
     Attributes
     ----------
-    simulator, target : the target's states may have more coordinates after the
-        simulator's; the log has the simulator's
-    policy : share of random actions -> policy
-    sizes : moves of a log
-    deltas : shares of random actions of the policies valued
-    horizon, episodes : of a value
-    scale : of values and errors
-    grid : vertices for the rows on a grid; empty: no such rows
-    behavior : share of random actions of the policy that recorded the log
+    simulator, target : ContinuousTask
+        The target's states may have more coordinates after the simulator's; the log has
+        the simulator's.
+    policy : callable
+        Share of random actions -> policy.
+    sizes : tuple of int
+        Numbers of transitions of a log.
+    deltas : tuple of float
+        Shares of random actions of the policies valued.
+    horizon, episodes : int
+        Numbers of rewards and of episodes of a value.
+    scale : float
+        Factor of values and errors.
+    grid : tuple of int
+        Vertices for the rows on a grid; without any there are no such rows.
+    behavior : float
+        Share of random actions of the policy that recorded the log.
     """
 
     simulator: ContinuousTask
@@ -81,13 +90,13 @@ class Change:
     behavior: float = 0.3
 
     def acting(self, delta: float) -> StatePolicy:
-        """The policy, of states that may have more coordinates."""
+        """Return the policy on states that may have more coordinates."""
         policy = self.policy(delta)
         d = self.simulator.n_state
         return lambda states: policy(states[:, :d])
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
-        """n moves of the target, by the simulator's coordinates."""
+        """Record n transitions of the target, by the simulator's coordinates."""
         found = record(
             self.target,
             self.acting(self.behavior),
@@ -102,7 +111,7 @@ class Change:
         )
 
     def returns(self, task: ContinuousTask, delta: float) -> Array:
-        """(episodes,) returns; tasks that are alike go alike."""
+        """Simulate returns (episodes,); tasks that are alike share random numbers."""
         seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta),))
         policy = self.acting(delta)
         found = compare_returns(
@@ -113,12 +122,13 @@ class Change:
 
 @dataclass(frozen=True)
 class Arm(Change):
-    """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to
-    each.
+    """Change of the Kinova stand-in.
+
+    Values are means over the five goals; logs are of 10 runs to each.
     """
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
-        """n moves, 25 a run."""
+        """Record n transitions, 25 a run."""
         runs = n // (len(kinova.GOALS) * kinova.HORIZON)
         return kinova.record_goals(
             self.target,  # type: ignore[arg-type]
@@ -128,7 +138,7 @@ class Arm(Change):
         )
 
     def returns(self, task: ContinuousTask, delta: float) -> Array:
-        """(episodes,) means over the goals."""
+        """Simulate returns (episodes,), means over the goals."""
         found = []
         for goal in range(len(kinova.GOALS)):
             seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta), goal))
@@ -148,12 +158,12 @@ class Arm(Change):
 
 
 class Delayed(HistoryTask):
-    """The task does what was asked for a step ago."""
+    """Task that does what was asked for a step ago."""
 
     step = ContinuousTask.step
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step; at first as asked."""
+        """Make one step; the first one does what is asked."""
         last = states[:, self.task.n_state :]
         done = np.where(last.any(axis=1), last.argmax(axis=1), actions)
         moved = super().moves(states, done, disturbance)
@@ -162,6 +172,7 @@ class Delayed(HistoryTask):
 
 
 def _cartpole(episodes: int = 4000, **changes: Any) -> Change:
+    """Return a change of CartPole."""
     target = classic.ChangedCartPole(**({"gravity": 10.0} | changes))
     return replace(_CARTPOLE, target=target, episodes=episodes)
 
@@ -193,6 +204,7 @@ _CHAIN = Change(
 
 
 def _reacher(length: float) -> Change:
+    """Return a change of Reacher."""
     return Change(
         Even(0.1, length),
         Even(length),
@@ -206,6 +218,7 @@ def _reacher(length: float) -> Change:
 
 
 def _arm(name: str) -> Change:
+    """Return a change of the Kinova stand-in."""
     return Arm(
         arm_of("simulator"),
         arm_of(name),
@@ -281,13 +294,13 @@ LOGS = {
 
 @functools.lru_cache(maxsize=256)
 def known(name: str, delta: float, *, simulator: bool = False) -> Array:
-    """(episodes,) returns in the target, or in the simulator."""
+    """Return the returns (episodes,) in the target, or in the simulator."""
     case = CASES[name]
     return case.returns(case.simulator if simulator else case.target, delta)
 
 
 def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
-    """Values, errors, and how much of an error may be Monte Carlo's."""
+    """Return values, errors, and how much of an error may be Monte Carlo's."""
     truth = [known(name, delta) for delta in case.deltas]
     apart = [returns - right for returns, right in zip(found, truth, strict=True)]
     before = [
@@ -320,8 +333,9 @@ def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
 def _grid_returns(
     case: Change, name: str, log: ContinuousTransitions
 ) -> dict[str, list[Array]]:
-    """The log's zeta on a grid of the task's features, raw and calibrated by the
-    simulator's ratio.
+    """Compute values with the log's zeta on a grid of the task's features.
+
+    They are raw, and calibrated by the simulator's ratio.
     """
     # states outside, transitions without support: left out here
     with warnings.catch_warnings(action="ignore"):
@@ -345,7 +359,7 @@ def _grid_returns(
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """What is left of the simulator's error, case by case."""
+    """Draw what is left of the simulator's error, case by case."""
     (ax,) = panels(
         figure, ["error / the simulator's error, means over the seeds"], size=(8.2, 8.4)
     )
@@ -371,8 +385,9 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 
 
 def finding(table: pd.DataFrame) -> str:
-    """What each leaves of the simulator's error in the median of the cases that all
-    have, the least first.
+    """Write what each estimator leaves of the simulator's error, the least first.
+
+    It is in the median of the cases that all have.
     """
     own = table[table.estimator.isin((RESIDUAL, LINEAR, CALIBRATED, GRID))]
     left = (
@@ -460,7 +475,7 @@ TRUTH = 400_000  # episodes
 
 @functools.lru_cache(maxsize=8)
 def truth(name: str) -> MonteCarlo:
-    """Of the case's policy in its target."""
+    """Compute the value of the case's policy in its target."""
     case = CASES[name]
     policy = case.acting(POLICIES[name])
     return monte_carlo_value(
@@ -470,15 +485,16 @@ def truth(name: str) -> MonteCarlo:
 
 @functools.lru_cache(maxsize=8)
 def returns_of_target(name: str) -> tuple[Change, np.ndarray]:
-    """The case, and returns in its target whose random numbers the corrected simulator
-    shares.
+    """Return the case, and returns in its target.
+
+    The corrected simulator shares their random numbers.
     """
     case = replace(CASES[name], episodes=EPISODES, scale=1.0)
     return case, case.returns(case.target, POLICIES[name])
 
 
 def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Errors against the standard errors that the log's refits told."""
+    """Draw errors against the standard errors that the log's refits give."""
     names = list(summary.case)
     for ax, name in zip(panels(figure, names, size=(4.2, 3.4)), names, strict=True):
         part = table[table.case == name]
@@ -492,8 +508,9 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
 
 
 def find_coverage(table: pd.DataFrame) -> str:
-    """In what share of the logs of each case the interval holds the truth, and how
-    often without the rollouts' noise.
+    """Write in what share of the logs of each case the interval covers the truth.
+
+    It also says how often without the rollouts' noise.
     """
     held = table.groupby("case")[["covered", "covered_paired"]].mean()
     whole, paired = (reach(held[name], percent) for name in held)

@@ -1,7 +1,6 @@
-"""Tasks of the experiments: classic control with every parameter free, masses on
-springs, linear-Gaussian models of a log.
+"""Tasks of the experiments: classic control, masses on springs, linear models of a log.
 
-By default a step of the classic tasks is Gymnasium's
+Every parameter of the classic tasks is free. By default a step of them is Gymnasium's
 (tests/continuous/test_experiments.py); CartPole has the paper's noise.
 """
 
@@ -25,10 +24,14 @@ class ChangedCartPole(CartPole):
 
     Parameters
     ----------
-    pole, force : factors on the pole's length (its mass stays) and on the pushes
-    joint, cart : friction of the joint (N m s) and, dry, of the cart (N)
-    push : constant angular acceleration, a wind (rad/s^2)
-    gusts : standard deviation of further noise on the angular velocity
+    pole, force : float
+        Factors on the pole's length (its mass stays) and on the pushes.
+    joint, cart : float
+        Friction of the joint (N m s) and, dry, of the cart (N).
+    push : float
+        Constant angular acceleration, a wind (rad/s^2).
+    gusts : float
+        Standard deviation of further noise on the angular velocity.
     """
 
     pole: float = 1.0
@@ -39,7 +42,7 @@ class ChangedCartPole(CartPole):
     gusts: float = 0.0
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step."""
+        """Make one step."""
         x_dot, angle, speed = states[:, 1:].T
         half = 0.5 * self.pole
         mass = 0.1
@@ -63,15 +66,16 @@ class ChangedCartPole(CartPole):
 
 
 class Plain(ContinuousTask):
-    """No noise, discretised coordinates that are the state's."""
+    """Task without noise, whose discretised coordinates are the state's."""
 
     n_disturbances = 0
 
 
 @dataclass(frozen=True)
 class Pendulum(Plain):
-    """Gymnasium's Pendulum-v1, torques -2, 0 and 2 N m; the state is (angle, speed),
-    not the observation.
+    """Gymnasium's Pendulum-v1 with torques -2, 0 and 2 N m.
+
+    The state is (angle, speed), not the observation.
     """
 
     mass: float = 1.0
@@ -89,7 +93,7 @@ class Pendulum(Plain):
     terminates = False
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step."""
+        """Make one step."""
         angle, speed = states.T
         asked = self.actions[actions]
         pulled = 3.0 * self.gravity / (2.0 * self.length) * np.sin(angle)
@@ -106,7 +110,7 @@ class Pendulum(Plain):
         )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """Any angle, slow."""
+        """Draw any angle and a slow speed."""
         return rng.uniform(-1.0, 1.0, (n, 2)) * [np.pi, 1.0]
 
 
@@ -126,7 +130,7 @@ class MountainCar(Plain):
     terminates = True
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step."""
+        """Make one step."""
         place, speed = states.T
         faster = np.clip(
             speed
@@ -141,18 +145,19 @@ class MountainCar(Plain):
         return Moves(following, np.full(len(states), -1.0), self.terminated(following))
 
     def terminated(self, states: Array) -> BoolArray:
-        """On the hill."""
+        """Return whether the car is on the hill."""
         return np.asarray((states[:, 0] >= 0.5) & (states[:, 1] >= 0.0))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """At rest in the valley."""
+        """Draw places at rest in the valley."""
         return np.column_stack([rng.uniform(-0.6, -0.4, n), np.zeros(n)])
 
 
 @dataclass(frozen=True)
 class Acrobot(Plain):
-    """Gymnasium's Acrobot-v1: one step of Runge and Kutta of 0.2 s; centres of mass in
-    the middle of the links.
+    """Gymnasium's Acrobot-v1, with one step of Runge and Kutta of 0.2 s.
+
+    Centres of mass are in the middle of the links.
     """
 
     mass_1: float = 1.0
@@ -169,7 +174,7 @@ class Acrobot(Plain):
     terminates = True
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step."""
+        """Make one step."""
         torque = self.torque * self.actions[actions]
         dt = 0.2
         k1 = self._rates(states, torque)
@@ -183,6 +188,7 @@ class Acrobot(Plain):
         return Moves(following, np.where(over, 0.0, -1.0), over)
 
     def _rates(self, states: Array, torque: Array) -> Array:
+        """Compute the time derivatives of angles and velocities."""
         first, second, speed_1, speed_2 = states.T
         m1 = self.mass_1
         m2 = self.mass_2
@@ -204,23 +210,22 @@ class Acrobot(Plain):
         )
 
     def terminated(self, states: Array) -> BoolArray:
-        """The tip is a link above the joint."""
+        """Return whether the tip is a link above the joint."""
         return np.asarray(
             -np.cos(states[:, 0]) - np.cos(states[:, 0] + states[:, 1]) > 1.0
         )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """Hanging, almost at rest."""
+        """Draw states that hang almost at rest."""
         return rng.uniform(-0.1, 0.1, (n, 4))
 
 
 @dataclass(frozen=True)
 class Chain(Plain):
-    """Four masses between two walls, on springs that harden; the first is pushed: eight
-    coordinates.
+    """Four masses between two walls, on springs that harden, with eight coordinates.
 
-    k (u + hardness u^3) is a spring's force at the extension u; a step is 0.1 s, twice
-    0.05 s by semi-implicit Euler.
+    The first mass is pushed. k (u + hardness u^3) is a spring's force at the extension
+    u; a step is 0.1 s, twice 0.05 s by semi-implicit Euler.
     """
 
     mass: float = 1.0
@@ -242,7 +247,7 @@ class Chain(Plain):
     terminates = False
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step."""
+        """Make one step."""
         place = states[:, :4]
         speed = states[:, 4:]
         for _ in range(2):
@@ -263,20 +268,20 @@ class Chain(Plain):
     def reward_between(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> Array:
-        """Minus the mean square of the places."""
+        """Return minus the mean square of the places."""
         return np.asarray(-(next_states[:, :4] ** 2).mean(axis=1))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """Displaced, at rest."""
+        """Draw displaced masses at rest."""
         return np.column_stack([rng.uniform(-1.0, 1.0, (n, 4)), np.zeros((n, 4))])
 
 
 class LinearGaussian(DerivedTask):
-    """s' = s + A s + B u + c + N(0, Sigma) in some coordinates, by least squares;
-    rewards, ends and beginnings are the task's.
+    """Linear-Gaussian model of a log in some coordinates, by least squares.
 
-    One model of all actions u, where ``LinearModel`` has one of each. The coordinates
-    that are left out stay as they are.
+    s' = s + A s + B u + c + N(0, Sigma); rewards, ends and beginnings are the task's.
+    There is one model of all actions u, where ``LinearModel`` has one of each. The
+    coordinates that are left out stay as they are.
     """
 
     def __init__(
@@ -285,6 +290,7 @@ class LinearGaussian(DerivedTask):
         log: ContinuousTransitions,
         coordinates: slice = slice(None),
     ) -> None:
+        """Fit the model to a log."""
         super().__init__(task, f"linear-Gaussian model of a log of {task.name}")
         self._at = coordinates
         design = self._inputs(log.state, log.action_numbers(task.actions))
@@ -298,12 +304,13 @@ class LinearGaussian(DerivedTask):
             )
 
     def _inputs(self, states: Array, actions: IntArray) -> Array:
+        """Return the regressors of states and actions."""
         return np.column_stack(
             [np.ones(len(states)), states[:, self._at], self.actions[actions]]
         )
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step of the model."""
+        """Make one step of the model."""
         following = np.array(states)
         following[:, self._at] += (
             self._inputs(states, actions) @ self.coefficients
@@ -323,14 +330,18 @@ class LinearGaussian(DerivedTask):
 
 
 def noisy(wanted: IntArray, delta: float) -> Array:
-    """(n, 3) the action wanted (0, 1 or 2), a share delta of them at random."""
+    """Return the probabilities (n, 3) of a policy that acts at random at times.
+
+    The action wanted is 0, 1 or 2; a share delta of the actions is random.
+    """
     return np.asarray(np.eye(3)[wanted] * (1.0 - delta) + delta / 3.0)
 
 
 def swinging(delta: float) -> StatePolicy:
-    """Pendulum: by energy, then balance."""
+    """Return a policy of Pendulum: swing by energy, then balance."""
 
     def policy(states: Array) -> Array:
+        """Return the probabilities of the actions."""
         angle = (states[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
         speed = states[:, 1]
         energy = speed**2 / 6.0 + 5.0 * (np.cos(angle) - 1.0)
@@ -342,15 +353,15 @@ def swinging(delta: float) -> StatePolicy:
 
 
 def rocking(delta: float) -> StatePolicy:
-    """MountainCar: the way that it moves."""
+    """Return a policy of MountainCar: push the way that it moves."""
     return lambda states: noisy(np.where(states[:, 1] >= 0.0, 2, 0), delta)
 
 
 def pumping(delta: float) -> StatePolicy:
-    """Acrobot: the way that the second link turns."""
+    """Return a policy of Acrobot: push the way that the second link turns."""
     return lambda states: noisy(np.where(states[:, 3] >= 0.0, 2, 0), delta)
 
 
 def braking(delta: float) -> StatePolicy:
-    """Chain: against the first mass's speed."""
+    """Return a policy of Chain: push against the first mass's speed."""
     return lambda states: noisy(np.where(states[:, 4] >= 0.0, 0, 2), delta)

@@ -1,5 +1,7 @@
-"""What experiments share: the paper's published figures, pairs of gridworlds, logs by
-the paper's recipe, errors.
+"""Functions that experiments share.
+
+They give the paper's published figures, pairs of gridworlds, logs by the paper's recipe
+and errors.
 """
 
 from __future__ import annotations
@@ -34,14 +36,16 @@ MEAN_ERROR = "mean |error| of (1 - discount) J"
 
 @functools.cache
 def published_table() -> pd.DataFrame:
-    """The paper's published figures as numbers: figure, setting, series, x, mean, lo,
-    hi; some curves were never published.
+    """Load the paper's published figures as numbers.
+
+    The columns are figure, setting, series, x, mean, lo and hi. Some curves were never
+    published.
     """
     return pd.read_csv(Path(__file__).with_name("paper.csv"))
 
 
 def published(figure: str, setting: str, series: str) -> pd.DataFrame:
-    """The points of one of the paper's curves, by x; empty where it was not published."""
+    """Return the points of one of the paper's curves by x; empty if unpublished."""
     table = published_table()
     points = table[
         (table.figure == figure) & (table.setting == setting) & (table.series == series)
@@ -50,7 +54,7 @@ def published(figure: str, setting: str, series: str) -> pd.DataFrame:
 
 
 def published_at(figure: str, setting: str, series: str, x: float) -> float:
-    """The mean at one point; nan where none was published."""
+    """Return the published mean at one point; nan where there is none."""
     return float(
         published(figure, setting, series).set_index("x")["mean"].get(x, float("nan"))
     )
@@ -60,14 +64,17 @@ def published_at(figure: str, setting: str, series: str, x: float) -> float:
 def grids(
     size: int = 10, real: float = 0.1, discount: float = 0.99
 ) -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
-    """The simulated gridworld, of slip 0.3, and the real one."""
+    """Return the simulated gridworld, of slip 0.3, and the real one."""
     return gridworld(size, 0.3, discount=discount), gridworld(
         size, real, discount=discount
     )
 
 
 def small_grids() -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
-    """5 x 5, discount 0.95, reward -Manhattan distance / 8 of the current cell."""
+    """Return grids of 5 x 5 with discount 0.95, simulated and real.
+
+    The reward is -Manhattan distance / 8 of the current cell.
+    """
     row, column = np.divmod(np.arange(25), 5)
     simulator, target = grids(5, discount=0.95)
     return simulator.with_rewards((row + column - 8) / 8), target.with_rewards(
@@ -78,8 +85,9 @@ def small_grids() -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
 def sample_pool(
     target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """Whole episodes of at most 1000 steps that hold at least n transitions: a pilot of
-    20 says how many are needed.
+    """Sample whole episodes of at most 1000 steps with at least n transitions.
+
+    A pilot of 20 episodes says how many are needed.
     """
     pilot = oee.sample_episodes(target, behavior, 20, LONGEST, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
@@ -98,8 +106,9 @@ def sample_pool(
 def sample_log(
     target: oee.FiniteMDP, delta: float, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions drawn without replacement from such episodes of pi_delta: the
-    paper's recipe.
+    """Draw n transitions without replacement from whole episodes of pi_delta.
+
+    This is the paper's recipe.
     """
     behavior = gridworld_policy(round(target.n_states**0.5), delta)
     return sample_pool(target, behavior, n, generator).draw(n, seed=generator)
@@ -108,8 +117,9 @@ def sample_log(
 def zeta_error(
     zeta: oee.TransitionRatio, target: oee.FiniteMDP, simulator: oee.FiniteMDP
 ) -> float:
-    """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; terminal
-    states are left out.
+    """Compute the mean |zeta_hat - zeta| over all (s, a, s').
+
+    It is over the simulator's support; terminal states are left out.
     """
     truth = oee.true_ratio(target, simulator).values.data
     live = np.repeat(
@@ -120,13 +130,13 @@ def zeta_error(
 
 
 def signed_error(value: float, truth: float, scale: float = SCALE) -> dict[str, float]:
-    """A row's error and its square."""
+    """Return the columns of an error: the scaled error and its square."""
     error = scale * (value - truth)
     return {"error": error, "squared_error": error**2}
 
 
 def rmse(errors: ArrayLike) -> float:
-    """Root mean square."""
+    """Compute the root mean square of errors."""
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
@@ -141,8 +151,9 @@ RmsePanels = functools.partial(
 
 
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
-    """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays
-    where it is.
+    """Compute the log's own rows n(s, a, s') / n(s, a).
+
+    In a pair that was never recorded the state stays as it is.
     """
     total = row_sums(counts)
     unrecorded = np.flatnonzero(total == 0)
@@ -156,8 +167,9 @@ def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
 
 
 def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
-    """The mean |difference| of two of the paper's curves; nan where they have no points
-    in common.
+    """Compute the mean |difference| of two of the paper's curves.
+
+    It is nan where they have no points in common.
     """
     both = first.merge(second, on="x")
     return (
@@ -170,8 +182,9 @@ def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
 def mark_paper(
     ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]
 ) -> None:
-    """What the paper published, series -> (name, marker); its expert is lost, so its
-    points need not lie on our lines.
+    """Mark what the paper published, series -> (name, marker).
+
+    The paper's expert is lost, so its points need not lie on our lines.
     """
     for series, (name, marker) in markers.items():
         points = published(figure, setting, series)
@@ -189,8 +202,9 @@ def mark_paper(
 
 
 def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
-    """A row for each policy, with delta, value, truth and error, of columns value_0.1,
-    truth_0.1, ...; for figures.
+    """Return a row for each policy, for figures.
+
+    The columns value_0.1, truth_0.1, ... become delta, value, truth and error.
     """
     parts = [
         table.assign(

@@ -1,9 +1,8 @@
-"""table1: the robot arm of the paper's Table I, as a simulated stand-in, since no data
-of the robot was ever published.
+"""Experiment table1: the robot arm of the paper's Table I, as a simulated stand-in.
 
-A cell records runs to the five goals in the perturbed arm, 10 to each, fits zeta tied
-over displacements to them, and values the controller by every estimator. Values are
-mean discounted costs over the goals, in m.
+No data of the robot was ever published. A cell records runs to the five goals in the
+perturbed arm, 10 to each, fits zeta tied over displacements to them, and values the
+controller by every estimator. Values are mean discounted costs over the goals, in m.
 """
 
 from __future__ import annotations
@@ -69,13 +68,13 @@ PUBLISHED_SD = {TRUE: 0.016, OEE: 0.101, SIMULATOR: 0.170}
 
 
 def arm_of(target: str) -> kinova.KinovaArm:
-    """The simulated arm ("simulator"), or a perturbed one; never a real one."""
+    """Return the simulated arm ("simulator"), or a perturbed one; never a real one."""
     return kinova.KinovaArm(**({} if target == "simulator" else TARGETS[target]))  # type: ignore[arg-type]
 
 
 @functools.cache
 def simulators() -> tuple[Discretization, Discretization]:
-    """The simulator of the hand's position on the grid, and its defensive mixture."""
+    """Return the simulator on the grid of the hand's position, and its mixture."""
     defensive = discretize(
         kinova.fit_hand(arm_of("simulator")), floor=EPSILON, closure_episodes=0
     )
@@ -84,7 +83,7 @@ def simulators() -> tuple[Discretization, Discretization]:
 
 @functools.cache
 def controller(goal: int) -> tuple[Array, Array]:
-    """(S, 27) the controller to a goal and (S,) the rewards for it, on the grid."""
+    """Return the controller to a goal (S, 27) and its rewards (S,), on the grid."""
     plain = simulators()[0]
     costs = kinova.ideal_hand().towards(goal).costs(plain.points)
     return plain.policy(kinova.kinova_policy(goal)), plain.places.mean(costs)
@@ -92,8 +91,9 @@ def controller(goal: int) -> tuple[Array, Array]:
 
 @functools.cache
 def grid_values(target: str) -> dict[str, dict[float, Array]]:
-    """name -> delta -> values of the goals on the grid: of the simulators, and of the
-    target itself (the oracle).
+    """Compute the values of the goals on the grid, as name -> delta -> values.
+
+    They are those of the simulators and of the target itself (the oracle).
     """
     plain, defensive = simulators()
     own = discretize(kinova.fit_hand(arm_of(target)), cells=plain, closure_episodes=0)
@@ -106,8 +106,9 @@ def grid_values(target: str) -> dict[str, dict[float, Array]]:
 
 
 def simulate_values(task: Any, delta: float) -> Array:
-    """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected
-    one.
+    """Simulate the values of the goals (5,), with 50 runs each.
+
+    The task is an arm or a corrected one.
     """
     goals = range(len(kinova.GOALS))
     horizon = kinova.HORIZON
@@ -127,7 +128,7 @@ known_values = functools.cache(
 
 
 def towards(task: Any, goal: int) -> Any:
-    """The arm, or the corrected one, with another goal: the step is the same."""
+    """Return the arm, or the corrected one, with another goal; its step is the same."""
     if not isinstance(task, ResidualSimulator):
         return task.towards(goal)
     again = copy.copy(task)
@@ -136,7 +137,10 @@ def towards(task: Any, goal: int) -> Any:
 
 
 def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
-    """delta -> (5,) exact values of the policies to each goal in ``mdp``, on the grid."""
+    """Compute the exact values (5,) of the policies to each goal in ``mdp``, by delta.
+
+    They are on the grid.
+    """
     found: dict[float, list[float]] = {delta: [] for delta in POLICIES}
     for g in range(len(kinova.GOALS)):
         policy, cost = controller(g)
@@ -153,13 +157,14 @@ def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
 
 
 def run_values(log: ContinuousTransitions) -> Array:
-    """(5,) mean discounted cost of the runs to each goal."""
+    """Compute the mean discounted cost (5,) of the runs to each goal."""
     return np.asarray((np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
 
 
 def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
-    """(5,) per-decision importance sampling from the runs themselves; r_t is paid by
-    the state alone.
+    """Estimate (5,) by per-decision importance sampling from the runs themselves.
+
+    The reward r_t depends on the state alone.
     """
     goal = np.repeat(np.arange(len(kinova.GOALS)), len(log) // len(kinova.GOALS))
     chosen = np.empty(len(log))
@@ -173,7 +178,7 @@ def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
 
 
 def weights_before(ratios: Array) -> Array:
-    """The product of the ratios of earlier steps, at each step."""
+    """Compute the product of the ratios of earlier steps, at each step."""
     return np.concatenate(
         [np.ones_like(ratios[..., :1]), np.cumprod(ratios, axis=-1)[..., :-1]], axis=-1
     )
@@ -182,8 +187,9 @@ def weights_before(ratios: Array) -> Array:
 def product_values(
     model: Discretization, zeta: TransitionRatio, delta: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """The paper's product of ratios over 10 simulated runs to each goal: (5,) plain and
-    (5,) self-normalised.
+    """Estimate by the paper's product of ratios over 10 simulated runs to each goal.
+
+    The two results (5,) are plain and self-normalised.
     """
     plain = []
     normalized = []
@@ -222,8 +228,10 @@ ORDER = (
 
 
 def published_value(row: Row) -> float:
-    """Table I, beside the controller's rows of the reference mismatch; the robot's
-    numbers, not the stand-in's.
+    """Return the number of Table I beside the controller's rows.
+
+    It is that of the robot, not of the stand-in, and stands beside the reference
+    mismatch.
     """
     is_published = (
         row["estimator"] in PUBLISHED
@@ -234,8 +242,9 @@ def published_value(row: Row) -> float:
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Mean and standard deviation over the seeds of every estimator of the controller;
-    Table I of the paper.
+    """Draw mean and standard deviation over the seeds of every estimator.
+
+    They are of the controller, beside Table I of the paper.
     """
     from oee_tabular.plots import plot_intervals
 
@@ -275,8 +284,9 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 
 
 def finding(table: pd.DataFrame) -> str:
-    """What OEE removes of the simulator's error, for the controller, over the logs of
-    each target.
+    """Write what OEE removes of the simulator's error, over the logs of each target.
+
+    It is for the controller.
     """
     own = table[(table.policy == 0.0) & (table.estimator == OEE)]
     means = own.groupby(["target", "data"], sort=False).removed.mean()
@@ -287,7 +297,7 @@ def finding(table: pd.DataFrame) -> str:
 
 
 def paper_value(name: str) -> float:
-    """The paper's number for one of its three rows."""
+    """Return the paper's number for one of its three rows."""
     table = published_table()
     return float(
         table[(table.figure == "kinova") & (table.series == PUBLISHED[name])][

@@ -1,5 +1,6 @@
-"""fig3: the value of Reacher's policies on arms with links twice and half as long as
-the simulator's.
+"""Experiment fig3: the value of Reacher's policies on arms with other links.
+
+The links are up to twice and down to half as long as the simulator's.
 """
 
 from __future__ import annotations
@@ -65,12 +66,13 @@ PUBLISHED = {WEIGHTED: "oee", OWN_REWARD: "simulated", MODEL: "mle"}
 
 
 class Even(Reacher):
-    """The arm, its episodes begun evenly over all angles (a shifted R2 sequence): the
-    same mean with less noise.
+    """Reacher with episodes begun evenly over all angles (a shifted R2 sequence).
+
+    Its values have the same mean with less noise.
     """
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """See the class."""
+        """Return states at rest, evenly over all angles."""
         steps = np.array([0.7548776662466927, 0.5698402909980532])
         place = (rng.random(2) + np.arange(n)[:, None] * steps) % 1.0
         return np.column_stack(
@@ -84,14 +86,16 @@ class Even(Reacher):
 
 @functools.cache
 def truth(length: float, reward_length: float) -> Array:
-    """(deltas,) values by Monte Carlo, of the arm with links of ``length`` paid by the
-    distance that another would see.
+    """Compute the values (deltas,) of an arm by Monte Carlo.
+
+    The arm has links of ``length``; rewards are by the distance that an arm with links
+    of ``reward_length`` would see.
     """
     return monte_carlo_values(Even(length, reward_length), TRUTH_EPISODES, 3)
 
 
 def monte_carlo_values(task: ContinuousTask, episodes: int, seed: int) -> Array:
-    """(deltas,) values by Monte Carlo."""
+    """Compute the values (deltas,) by Monte Carlo."""
     return np.array(
         [
             monte_carlo_value(
@@ -103,15 +107,16 @@ def monte_carlo_values(task: ContinuousTask, episodes: int, seed: int) -> Array:
 
 
 def values_of(mdp: FiniteMDP, policies: list[Array]) -> Array:
-    """(deltas,) exact values."""
+    """Compute the exact values (deltas,) of policies."""
     return np.array([policy_value(mdp, policy, horizon=HORIZON) for policy in policies])
 
 
 def estimates(
     model: Discretization, counts: sparse.csr_array, length: float
 ) -> tuple[dict[str, Array], dict[str, Row]]:
-    """{series: (deltas,) values} and {series: facts}, of all that is evaluated on the
-    cells.
+    """Compute all estimates on the cells.
+
+    They are {series: (deltas,) values} and {series: facts}.
     """
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
     below = values_of(model.plain, policies)
@@ -172,7 +177,10 @@ def estimates(
 def fit_among(
     model: Discretization, counts: sparse.csr_array, lengths: Sequence[float]
 ) -> Array:
-    """(WIDER,) the weights of these lengths that minimise the KL risk; 0 of the others."""
+    """Fit the weights (WIDER,) of these lengths that minimise the KL risk.
+
+    The weights of the others are 0.
+    """
     at = [WIDER.index(length) for length in lengths]
     weights = np.zeros(len(WIDER))
     weights[at] = replace(
@@ -182,13 +190,14 @@ def fit_among(
 
 
 def setting_of(length: Any) -> str:
-    """The paper's name of links of this length."""
+    """Return the paper's name of links of this length."""
     return f"link_length_ratio={float(length) / SIMULATED}"
 
 
 def published_error(row: Row) -> float:
-    """The mean over delta of |curve - true value| of the same curve in the paper's
-    figure; nan where it was not published.
+    """Compute the mean over delta of |curve - true value| in the paper's figure.
+
+    It is of the same curve, and nan where that was not published.
     """
     if row["series"] not in PUBLISHED or row["n"] != N_PAPER:
         return np.nan
@@ -200,8 +209,9 @@ def published_error(row: Row) -> float:
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Value against delta for each length (at the largest n), and the paper's points,
-    of its own expert and targets.
+    """Draw value against delta for each length, at the largest n.
+
+    The paper's points are of its own expert and targets.
     """
     markers = {
         name: (name, marker)
@@ -229,7 +239,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 
 
 def finding(table: pd.DataFrame) -> str:
-    """Errors over the lengths, at the largest n."""
+    """Write the errors over the lengths, at the largest n."""
     n = table.n.max()
     means = table[table.n == n].groupby(["series", "length"]).error.mean()
     parts = [

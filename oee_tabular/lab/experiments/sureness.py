@@ -1,5 +1,7 @@
-"""How sure: asymptotic variances, what planned collection saves, coverage and width of
-the intervals, which policy is best.
+"""Experiments on uncertainty: variances, plans, intervals, the choice of a policy.
+
+They compare asymptotic variances, what planned collection saves, coverage and width of
+the intervals, and rules that say which policy is best.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
 def plot_means(
     ax: Any, table: pd.DataFrame, y: str, curves: str, by: str, **options: Any
 ) -> None:
-    """Means over the rows, with their 95% ranges, a group for each value of ``by``."""
+    """Plot means over the rows with 95% ranges, a group for each value of ``by``."""
     points = (
         table.groupby([by, curves], sort=False)[y].agg(["mean", "sem"]).reset_index()
     )
@@ -62,7 +64,7 @@ def plot_means(
 
 
 def compare_variances(table: pd.DataFrame) -> str:
-    """The exact variances, and how far they are from simulation."""
+    """Write the exact variances, and how far they are from simulation."""
     means = table.groupby("estimator")[["exact", "ratio"]].mean()
     return (
         f"n Var(J): {listed(means.exact)}; simulated within"
@@ -71,7 +73,7 @@ def compare_variances(table: pd.DataFrame) -> str:
 
 
 def draw_variances(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """The simulated variances beside the exact ones."""
+    """Draw the simulated variances beside the exact ones."""
     (ax,) = panels(figure, ["n times the variance"], size=(6.4, 3.6))
     exact = table.groupby("estimator").exact.mean().to_dict()
     own = table.assign(what="simulated")
@@ -157,8 +159,9 @@ TWO_STAGE = "two-stage"
 def record(
     target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions: episodes that stop after each with probability RESTART, and at the
-    goal.
+    """Record n transitions.
+
+    Episodes stop after each transition with probability RESTART, and at the goal.
     """
     episodes = n // 3 + 100  # more than are needed
     log = oee.sample_episodes(target, behavior, episodes, 300, seed=generator)
@@ -171,7 +174,7 @@ def record(
 
 
 def plan(known: Any, n: int) -> Array:
-    """The policy that should record, by what is known."""
+    """Plan the policy that should record, by what is known."""
     return oee.plan_data_collection(
         known, POLICY, n=n, sampling="behavior", restart=RESTART
     ).behavior_policy
@@ -179,8 +182,9 @@ def plan(known: Any, n: int) -> Array:
 
 @functools.cache
 def first_policies() -> dict[str, Array]:
-    """The policies that the designs begin with; the plan from the simulator alone is
-    the same for every n.
+    """Return the policies that the designs begin with.
+
+    The plan from the simulator alone is the same for every n.
     """
     simulator, _ = small_grids()
     planned = plan(simulator, 1)
@@ -194,8 +198,9 @@ def first_policies() -> dict[str, Array]:
 
 @functools.cache
 def predict_error(design: str, n: int) -> float:
-    """sqrt(asymptotic variance / n) of maximum likelihood under the design; two stages:
-    under the oracle's plan.
+    """Compute sqrt(asymptotic variance / n) of maximum likelihood under the design.
+
+    Two stages have that of the oracle's plan.
     """
     _, target = small_grids()
     behavior = plan(target, n) if design == TWO_STAGE else first_policies()[design]
@@ -263,7 +268,7 @@ METHODS: dict[str, dict[str, Any]] = {
 
 
 def find_least_coverage(table: pd.DataFrame) -> str:
-    """The smallest coverage of each kind over the cases."""
+    """Write the smallest coverage of each kind over the cases."""
     least = (
         table.groupby(["environment", "n", "method"])
         .covered.mean()
@@ -278,7 +283,7 @@ def find_least_coverage(table: pd.DataFrame) -> str:
 
 
 def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Coverage and width of each method in each case."""
+    """Draw coverage and width of each method in each case."""
     left, right = panels(
         figure, ["coverage of nominal 95% intervals", "mean width"], size=(6.2, 7.6)
     )
@@ -337,7 +342,7 @@ def coverage(settings: Cell, stream: Stream) -> list[Row]:
 
 
 def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """A hundred of the intervals; those that miss have another colour."""
+    """Draw a hundred of the intervals; those that miss have another colour."""
     (ax,) = panels(figure, ["the first 100 logs"], size=(5.6, 5.6))
     part = table.head(100).reset_index(drop=True)
     ax.hlines(
@@ -410,7 +415,7 @@ TUNED = (
 
 
 def compare_rules(table: pd.DataFrame) -> str:
-    """How often each rule is right, and how often contest is wrong."""
+    """Write how often each rule is right, and how often contest is wrong."""
     share = {
         str(rule): rows[["right", "wrong", "cannot_say"]].mean()
         for rule, rows in table.groupby("rule")

@@ -1,9 +1,9 @@
-"""The value of policies by every estimator, and what products, horizons and data
-policies do to it; toy text.
+"""Experiments on the value of policies by every estimator, on grids and toy text.
 
-On the paper's grid (fig1bcd, estimands, horizon, data_policy): slip 0.3 simulated, 0.1
-real, T = 200, one reward r(s, a, s') everywhere. On Gymnasium's toy text: FrozenLake,
-Taxi in the rain and with faults, CliffWalking; five policies, valued and ranked.
+They also show what products, horizons and data policies do to it. On the paper's grid
+(fig1bcd, estimands, horizon, data_policy): slip 0.3 simulated, 0.1 real, T = 200, one
+reward r(s, a, s') everywhere. On Gymnasium's toy text: FrozenLake, Taxi in the rain and
+with faults, CliffWalking; five policies, valued and ranked.
 """
 
 from __future__ import annotations
@@ -61,14 +61,17 @@ BY_POLICY = [*ESTIMATORS][6:11]
 
 
 def plot_group(names: list[str], title: str, **options: Any) -> Panels:
-    """The errors of these estimators over n, and their values over delta at the paper's
-    n.
+    """Return panels of the errors of these estimators over n, and of their values.
+
+    The values are over delta at the paper's n.
     """
 
     def choose(table: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows of these estimators."""
         return table[table.estimator.isin(names)]
 
     def choose_n(table: pd.DataFrame) -> pd.DataFrame:
+        """Return their rows at the paper's n."""
         return choose(table[table.n == table.n[table.n <= 3162].max()])
 
     values = Panels(
@@ -170,8 +173,9 @@ TRUE = "true, r(s_t+1)"
 
 
 def with_next_rewards_averaged(simulator: oee.FiniteMDP) -> oee.FiniteMDP:
-    """The same MDP with rewards r(s, a) = sum_s' P r(s, a, s'): a product then weighs
-    r_t without the last ratio.
+    """Return the same MDP with rewards r(s, a) = sum_s' P r(s, a, s').
+
+    A product then weighs r_t without the last ratio.
     """
     transitions = csr_on_pattern(simulator.transitions, simulator.transitions.data)
     names = {
@@ -184,7 +188,7 @@ def with_next_rewards_averaged(simulator: oee.FiniteMDP) -> oee.FiniteMDP:
 
 
 def drop_truth(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the quantities that are not the true one."""
+    """Return the rows of the quantities that are not the true one."""
     return table[table.quantity != TRUE]
 
 
@@ -379,8 +383,9 @@ CASES: dict[str, tuple[str, str, float, float, float]] = {
 
 @functools.lru_cache(maxsize=4)
 def make_case(case: str) -> tuple[oee.FiniteMDP, oee.FiniteMDP, dict[str, Array]]:
-    """Simulator, target, and five policies of which the simulator may mistake the
-    order: each mixed with the uniform one.
+    """Make a simulator, its target, and five policies.
+
+    The simulator may mistake their order; each is mixed with the uniform policy.
     """
     *names, discount, noise, faults = CASES[case]
     simulator, target = (named_task(name, discount=discount).mdp for name in names)
@@ -410,8 +415,9 @@ def make_case(case: str) -> tuple[oee.FiniteMDP, oee.FiniteMDP, dict[str, Array]
 def record(
     case: str, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions by stepping Gymnasium's environment; faults replace the action by a
-    random one before it is executed.
+    """Record n transitions by stepping Gymnasium's environment.
+
+    Faults replace the action by a random one before it is executed.
     """
     from gymnasium.wrappers import TransformAction
 
@@ -421,6 +427,7 @@ def record(
     actions = environment.action_space
 
     def fail(action: Any) -> Any:  # the log keeps the action that was chosen
+        """Replace some actions by random ones; the log keeps what was chosen."""
         return (
             int(generator.integers(actions.n))
             if generator.random() < faults
@@ -498,7 +505,7 @@ ERRORS = common.ErrorPanels(
 
 
 def make_experiment(name: str, title: str, *cases: str) -> Experiment:
-    """The experiment of these cases."""
+    """Make the experiment of these cases."""
     return Experiment(
         name,
         title,

@@ -1,5 +1,7 @@
-"""How well zeta and what rests on it are estimated: fig1a and networks, rates, priors,
-distance, normalisation, the ridge.
+"""Experiments on the error of zeta and of what rests on it.
+
+They are fig1a and networks, and vary sample size, prior, distance, normalisation and
+the ridge.
 """
 
 from __future__ import annotations
@@ -55,8 +57,9 @@ FITS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
 
 
 def error_of_paper(row: Any) -> float:
-    """The error of the paper's networks where a row of a table or summary is; their
-    data are the uniform policy's.
+    """Return the error of the paper's networks where a row of a table or summary is.
+
+    Their data are the uniform policy's.
     """
     is_published = row.get("data", "uniform") == "uniform"
     grid = f"grid={row.get('grid', 10)}"
@@ -68,7 +71,7 @@ def error_of_paper(row: Any) -> float:
 
 
 def draw_published(ax: Any, rows: pd.DataFrame) -> None:
-    """The paper's networks, where they were published."""
+    """Draw the paper's networks where they were published."""
     points = rows.drop_duplicates("n").sort_values("n")
     errors = [error_of_paper(row) for row in points.to_dict("records")]
     if np.isfinite(errors).any():
@@ -143,13 +146,13 @@ Pair = tuple[Array, Array]
 
 
 def pair_shares(transitions: Array) -> Pair:
-    """Shares of (s, a, s') and of (s, a)."""
+    """Return the shares of (s, a, s') and of (s, a)."""
     shares = transitions / transitions.sum()
     return shares, row_sums(grids()[0].transitions, shares)
 
 
 def log_shares(log: oee.Transitions) -> Pair:
-    """Those of a log."""
+    """Return the shares of (s, a, s') and of (s, a) in a log."""
     simulator, _ = grids()
     return pair_shares(
         aligned_counts(log.counts(simulator.n_states, simulator.n_actions), simulator)
@@ -158,8 +161,9 @@ def log_shares(log: oee.Transitions) -> Pair:
 
 @functools.cache
 def population() -> tuple[Pair, Pair]:
-    """p and q of both ratios: what the transitions of the uniform policy's episodes are
-    drawn from.
+    """Compute p and q of both ratios.
+
+    The transitions of the uniform policy's episodes are drawn from them.
     """
     pairs = []
     for mdp in reversed(grids()):
@@ -175,7 +179,10 @@ def population() -> tuple[Pair, Pair]:
 
 
 def risk(ratios: list[Array], shares: tuple[Pair, Pair]) -> float:
-    """sum q g - sum p log g (eq. 3.7, a finite sum here) of both ratios together, nats."""
+    """Compute sum q g - sum p log g of both ratios together, in nats.
+
+    It is eq. 3.7, a finite sum here.
+    """
     return float(
         sum(q @ g - xlogy(p, g).sum() for g, p, q in zip(ratios, *shares, strict=True))
     )
@@ -183,7 +190,7 @@ def risk(ratios: list[Array], shares: tuple[Pair, Pair]) -> float:
 
 @functools.lru_cache(maxsize=8)
 def best_of_class(seed: int, repetition: int) -> oee.TransitionRatio:
-    """The long fit on the population, scaled to counts."""
+    """Fit the class for long on the population, scaled to counts."""
     simulator, _ = grids()
     counts = csr_on_pattern(simulator.transitions, population()[0][0])
     method = Quotient(
@@ -289,7 +296,7 @@ RATIOS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
 
 
 def add_quarter_slope(ax: Any, rows: pd.DataFrame) -> None:
-    """The paper's bound, from where the first curve begins."""
+    """Add the paper's bound from where the first curve begins."""
     errors = rows[rows.ratio == rows.ratio.iloc[0]].groupby("n").error.agg(common.rmse)
     add_slope(ax, errors.index.to_numpy(), errors.to_numpy(), -0.25)
 
@@ -338,7 +345,10 @@ def rate(settings: Cell, stream: Stream) -> list[Row]:
 
 
 def halves(size: int) -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
-    """Slip 0.3 simulated; 0.1 real on the left half (small columns), 0.5 on the right."""
+    """Return grids of slip 0.3 simulated, and of two slips in the target.
+
+    These are 0.1 on the left half (small columns) and 0.5 on the right.
+    """
     simulator, less, more = (gridworld(size, slip) for slip in (0.3, 0.1, 0.5))
     left = np.repeat(np.arange(size * size) % size < size // 2, 4).astype(float)
     mixed = (
@@ -538,7 +548,7 @@ PENALTIES: dict[str, dict[str, Any]] = {
 
 
 def find_best_penalty(table: pd.DataFrame) -> str:
-    """The best penalty at each n."""
+    """Write the best penalty at each n."""
     means = table.groupby(["n", "penalty", "moves"]).zeta_error.mean()
     best: Any = means.loc[means.groupby("n").idxmin()].items()
     return "Least error of zeta: " + "; ".join(
