@@ -66,6 +66,11 @@ class Stream:
         return np.random.default_rng(self.sequence(*names, use=use))
 
 
+def find_nothing(table: pd.DataFrame) -> str:
+    """Return the finding of an experiment without one."""
+    return ""
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Definition of one figure or table.
@@ -110,7 +115,7 @@ class Experiment:
     keys: tuple[str, ...]
     measures: tuple[str, ...]
     draw: Callable[[pd.DataFrame, pd.DataFrame, Any], None]
-    finding: Callable[[pd.DataFrame], str] = lambda table: ""
+    finding: Callable[[pd.DataFrame], str] = find_nothing
     repetitions: int = 10
     smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)
     paper: Callable[[Any], float] | None = None
@@ -132,9 +137,8 @@ class Experiment:
         """
         first = {name: values[:1] for name, values in self.axes.items()}
         axes = {**self.axes, **first, **self.smoke} if smoke else self.axes
-        return RunSettings(
-            self, axes, repetitions or (1 if smoke else self.repetitions), seed
-        )
+        own = 1 if smoke else self.repetitions
+        return RunSettings(self, axes, repetitions or own, seed)
 
 
 def experiment(
@@ -195,12 +199,19 @@ class RunSettings:
             "repetitions": self.repetitions,
             "seed": self.seed,
         }
-        return own | ({"asked": dict(self.asked)} if self.asked else {})
+        if self.asked:
+            own["asked"] = dict(self.asked)
+        return own
 
 
 # ---- figures as data
 
 SIZE = (4.8, 3.9)  # of a panel, inches
+
+
+def keep_all(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return all rows."""
+    return rows
 
 
 @dataclass(frozen=True)
@@ -257,7 +268,7 @@ class Panels:
     extra: Mapping[str, str] = field(default_factory=dict)
     how: str | Callable[[Any], float] = "mean"
     bands: bool = False
-    only: Callable[[pd.DataFrame], pd.DataFrame] = lambda rows: rows
+    only: Callable[[pd.DataFrame], pd.DataFrame] = keep_all
     log: bool = False
     slope: float | None = None
     beneath: Callable[[Any, pd.DataFrame], object] | None = None
@@ -268,19 +279,13 @@ class Panels:
 
     def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
         """Draw a panel for each group, and those beside it."""
-        groups: list[Any] = (
-            list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
-        )
+        groups: list[Any] = [((), table)]
+        if self.by:
+            groups = list(table.groupby(list(self.by), sort=False))
         parts = [
             (panel, rows, key) for key, rows in groups for panel in (self, *self.beside)
         ]
-        named = ", ".join(f"{name} = {{{name}}}" for name in self.by)
-        titles = [
-            (named if panel.title is None else panel.title).format(
-                **dict(zip(self.by, key, strict=True))
-            )
-            for panel, _, key in parts
-        ]
+        titles = [panel._title(self.by, key) for panel, _, key in parts]
         axes = panels(figure, titles, columns=self.columns, size=self.size)
         for (panel, rows, _), ax in zip(parts, axes, strict=True):
             panel._draw(panel.only(rows), ax)
@@ -299,6 +304,13 @@ class Panels:
             .sort_values()
         )
         return f"{self.ylabel} at {self.x} = {last:g}: {listed(values.head(3))}"
+
+    def _title(self, by: tuple[str, ...], key: tuple[Any, ...]) -> str:
+        """Return the title of a panel for the group with these values of ``by``."""
+        form = self.title
+        if form is None:
+            form = ", ".join(f"{name} = {{{name}}}" for name in by)
+        return form.format(**dict(zip(by, key, strict=True)))
 
     def _draw(self, rows: pd.DataFrame, ax: Any) -> None:
         """Draw the curves of these rows."""
@@ -324,7 +336,8 @@ class Panels:
         plot_curves(
             where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel
         )
-        ax.set(**{"yscale": "log" if self.log else "linear"} | dict(self.axes))
+        yscale = "log" if self.log else "linear"
+        ax.set(**{"yscale": yscale} | dict(self.axes))
 
 
 def add_slope(ax: Any, n: Any, errors: Any, slope: float) -> None:
@@ -486,9 +499,9 @@ def share_legend(figure: Any) -> None:
         return
     for ax in drawn:
         ax.legend().remove()
-    columns = min(
-        max(1, int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))), len(most)
-    )
+    # About eleven letters of a small legend fit into an inch, eight of them its line.
+    fitting = int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))
+    columns = min(max(1, fitting), len(most))
     figure.legend(
         list(most.values()),
         list(most),
@@ -514,11 +527,13 @@ def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
     """
     experiment = settings.experiment
     is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
-    command = (
-        f"oee reproduce {experiment.id}{'' if is_full else ' --smoke'} --seeds"
-        f" {settings.repetitions}"
-    )
-    command += f" --seed {settings.seed}" if settings.seed else ""
+    words = ["oee reproduce", experiment.id]
+    if not is_full:
+        words.append("--smoke")
+    words.append(f"--seeds {settings.repetitions}")
+    if settings.seed:
+        words.append(f"--seed {settings.seed}")
+    command = " ".join(words)
     axes = "; ".join(
         f"{name} {', '.join(map(str, values))}"
         for name, values in settings.axes.items()
@@ -547,4 +562,5 @@ def pipe_table(frame: pd.DataFrame) -> str:
         *frame.itertuples(index=False, name=None),
     ]
     lines = ["| " + " | ".join(map(text, row)) + " |" for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(frame.columns), *lines[1:]])
+    rule = "|" + "".join("---|" for _ in frame.columns)
+    return "\n".join([lines[0], rule, *lines[1:]])

@@ -88,20 +88,16 @@ def code_version(*modules: str) -> str:
     user's ``modules`` count as well, each by itself (not what it imports).
     """
     digest = hashlib.sha256()
-    for path in sorted(
-        path
-        for path in PACKAGE.rglob("*")
-        if path.suffix in (".py", ".csv", ".xml", ".npz")
-    ):
+    # What results depend on: code, and the data that it ships.
+    kinds = (".py", ".csv", ".xml", ".npz")
+    for path in sorted(path for path in PACKAGE.rglob("*") if path.suffix in kinds):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     with own_modules():
         for spec in map(importlib.util.find_spec, modules):
-            if (
-                spec is not None
-                and spec.origin is not None
-                and Path(spec.origin).is_file()
-            ):
+            if spec is None or spec.origin is None:
+                continue
+            if Path(spec.origin).is_file():
                 digest.update(Path(spec.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
 
@@ -142,11 +138,13 @@ def alone(folder: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        holder = path.read_text(errors="replace")[:20].strip() if path.is_file() else ""
+        holder = ""
+        if path.is_file():
+            holder = path.read_text(errors="replace")[:20].strip()
+        process = f" (process {holder})" if holder else ""
         raise ArgumentError(
             f"{folder}",
-            "must be used by one command at a time;"
-            f" another{(f' (process {holder})' if holder else '')} is at work in it:"
+            f"must be used by one command at a time; another{process} is at work in it:"
             " wait for it, or name another folder with --output",
         ) from None
     except OSError as error:
@@ -225,17 +223,15 @@ class Store:
     def __str__(self) -> str:
         """Return how many cells were computed, taken from here and left out."""
         text = f"{self.folder}: {self.computed} cells computed"
-        text += f", {self.cached} from the cache" if self.cached else ""
-        text += (
-            f", {self.stale} of another version of the code left aside"
-            if self.stale
-            else ""
-        )
-        return text + (
-            f"; lines of {CELLS} that did not fit and are left out: {self.damaged}"
-            if self.damaged
-            else ""
-        )
+        if self.cached:
+            text += f", {self.cached} from the cache"
+        if self.stale:
+            text += f", {self.stale} of another version of the code left aside"
+        if self.damaged:
+            text += (
+                f"; lines of {CELLS} that did not fit and are left out: {self.damaged}"
+            )
+        return text
 
     def _empty(self) -> None:
         """Remove the results; ValueError where other files are in the folder."""
@@ -266,12 +262,13 @@ class Store:
         names = [
             name for name in {**there, **asked} if there.get(name) != asked.get(name)
         ]
-        is_written = any((self.folder / name).exists() for name in FILES[2:])
-        if not names or (
-            names == ["repetitions"]
-            and (not is_written or there[names[0]] < asked[names[0]])
-        ):
+        if not names:
             return
+        if names == ["repetitions"]:
+            # More seeds are added; fewer are taken of a sweep that was interrupted.
+            is_written = any((self.folder / name).exists() for name in FILES[2:])
+            if not is_written or there["repetitions"] < asked["repetitions"]:
+                return
         parts = [
             f"{name} {show(there.get(name))} there, {show(asked.get(name))} asked"
             for name in names
@@ -288,9 +285,8 @@ class Store:
             cell = content["of"]["cell"]
             rows = content["rows"]
             code = content["code"]
-            is_whole = line + b"\n" == self._line(
-                cell, rows, code
-            ).encode() and self._fits(cell, rows)
+            is_signed = line + b"\n" == self._line(cell, rows, code).encode()
+            is_whole = is_signed and self._fits(cell, rows)
         except DAMAGE:
             is_whole = False
         if not is_whole:
@@ -310,22 +306,19 @@ class Store:
         is_cell = {*cell} == {*axes, "repetition"} and all(
             cell[name] in values for name, values in axes.items()
         )
-        if (
-            not is_cell
-            or not isinstance(cell["repetition"], int)
-            or not rows
-            or not isinstance(rows, list)
-        ):
+        if not is_cell or not isinstance(cell["repetition"], int):
+            return False
+        if not rows or not isinstance(rows, list):
             return False
         for row in rows:
             numbers = [row[name] for name in experiment.measures if name in row]
-            # in every row, and finite
+            # The first measure must be in every row, and finite.
             first = [row[name] for name in experiment.measures[:1]]
             are_plain = all(isinstance(value, Scalar | None) for value in row.values())
-            are_numbers = all(
-                isinstance(value, float | int) for value in numbers
-            ) and all(map(math.isfinite, first))
-            if not (are_plain and are_numbers and {*experiment.keys} <= {*cell, *row}):
+            are_numbers = all(isinstance(value, float | int) for value in numbers)
+            if not are_plain or not are_numbers or not all(map(math.isfinite, first)):
+                return False
+            if not {*experiment.keys} <= {*cell, *row}:
                 return False
         return True
 
@@ -336,13 +329,11 @@ class Store:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
-        lines = [
-            *self._others,
-            *(
-                self._line(json.loads(name), rows, self.code)
-                for name, rows in self._done.items()
-            ),
+        own = [
+            self._line(json.loads(name), rows, self.code)
+            for name, rows in self._done.items()
         ]
+        lines = [*self._others, *own]
         _files.write_all(
             self.folder, {SETTINGS: settings.encode(), CELLS: "".join(lines).encode()}
         )
@@ -437,7 +428,7 @@ def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
 
 # ---- the runner
 
-ATTEMPTS = 3  # of a cell whose worker died
+MAX_ATTEMPTS = 3  # of a cell whose worker died
 # of a worker, in loky and dask
 DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 
@@ -476,12 +467,8 @@ def run_experiment(
     ``dask``: address of a scheduler, where the cells go instead. ``fresh``: empty the
     folder first. Nothing is written before the workers are there and have this code.
     """
-    if (
-        isinstance(jobs, bool)
-        or not isinstance(jobs, int | np.integer)
-        or jobs == 0
-        or jobs < -1
-    ):
+    is_integer = isinstance(jobs, int | np.integer) and not isinstance(jobs, bool)
+    if not is_integer or jobs == 0 or jobs < -1:
         raise ArgumentError(
             "jobs", f"must be a positive number, or -1 for one a core; got {jobs!r}"
         )
@@ -553,10 +540,10 @@ def _compute(
             if type(error).__name__ not in DEATHS:
                 raise
             attempt = 1 if len(left) < before else attempt + 1
-            if attempt == ATTEMPTS:
+            if attempt == MAX_ATTEMPTS:
                 first = "; ".join(str(dict(cell)) for cell in list(left.values())[:3])
                 raise RuntimeError(
-                    f"a worker was killed {ATTEMPTS} times in a row without a finished"
+                    f"a worker was killed {MAX_ATTEMPTS} times in a row without a finished"
                     f" cell; unfinished: {first}"
                 ) from error
 
@@ -578,12 +565,13 @@ def _run_cell(
     with threadpool_limits(limits=1):
         rows = run(stream.cell, stream)
     return number, [
-        {
-            key: value.item() if isinstance(value, np.generic) else value
-            for key, value in row.items()
-        }
-        for row in rows
+        {key: plain_value(value) for key, value in row.items()} for row in rows
     ]
+
+
+def plain_value(value: Any) -> Any:
+    """Return a number of numpy's as Python's own, which JSON can hold."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _check_workers(client: Any) -> None:

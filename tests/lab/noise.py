@@ -1,4 +1,4 @@
-"""A small experiment whose cells are hard to get right by accident."""
+"""Small experiment whose cells are hard to get right by accident."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def experiment(run=noise, **options):
 
 
 def bytes_of(folder, settings, **options):
-    """The files of a run."""
+    """Return the files of a run."""
     save(run_experiment(folder, settings, **options))
     return {
         name: (folder / name).read_bytes()

@@ -1,8 +1,7 @@
-"""Estimators of others: the padding by hand, names that have one solution in a table,
-other libraries' numbers.
+"""Tests of the adapters to other libraries' estimators.
 
-The libraries pull in torch: without them stubs stand in, which compute what they are
-given.
+The padding is checked by hand, names by equations that have one solution in a table,
+and values by the other libraries' numbers.
 """
 
 import sys
@@ -79,7 +78,7 @@ def scope_rl(
     gamma,
     **others,
 ):
-    """Per-decision importance sampling on what SCOPE-RL is given: flat arrays."""
+    """Estimate by per-decision importance sampling on SCOPE-RL's flat arrays."""
     taken = evaluation_policy_action_dist[np.arange(len(action)), action] / pscore
     weights = np.cumprod(taken.reshape(-1, step_per_trajectory), axis=1)
     q = others["state_action_value_prediction"]
@@ -92,7 +91,7 @@ def scope_rl(
 
 
 def offline_rl_ope(*, rewards, states, actions, weights, discount, is_msk):
-    """The same on what offline-rl-ope is given: a column of rewards for each episode."""
+    """Estimate the same on offline-rl-ope's columns of rewards for each episode."""
     paid = np.array([column[:, 0] for column in rewards]) * is_msk
     return ((weights * paid) @ discount ** np.arange(weights.shape[1])).mean()
 
@@ -104,7 +103,7 @@ class Tensor(np.ndarray):
 
 @pytest.fixture
 def stubs(monkeypatch):
-    """Both libraries, and torch, as far as the adapters call them."""
+    """Stand in for both libraries and torch, as far as the adapters call them."""
     loaded = SimpleNamespace(estimate_policy_value=scope_rl, predict=offline_rl_ope)
     monkeypatch.setattr(Peer, "load", lambda peer: loaded)
     torch = SimpleNamespace(
@@ -142,8 +141,10 @@ def test_without_the_libraries_the_extra_is_named(monkeypatch):
 
 @pytest.mark.parametrize("name", ["machine", "queue25"])
 def test_names_from_the_literature_solve_the_published_equations(name):
-    """On a log of all pairs: E[(r + gamma q(s', pi) - q(s, a)) f] = 0 and E[w (f(s, a)
-    - gamma f(s', pi))] = f(s_0, pi).
+    """Check the published equations on a log of all pairs.
+
+    They are E[(r + gamma q(s', pi) - q(s, a)) f] = 0 and E[w (f(s, a) - gamma f(s',
+    pi))] = f(s_0, pi).
     """
     family = oee.bench.families()[name]
     simulator = family.simulator

@@ -1,5 +1,7 @@
-"""Runs: the same bits every time and in every mode, resuming, failures as rows, a
-user's own estimators and families.
+"""Tests of runs of the benchmark.
+
+They give the same bits every time and in every mode, resume, have failures as rows, and
+take a user's own estimators and families.
 """
 
 import json
@@ -22,7 +24,7 @@ MACHINE = oee.bench.families()["machine"]
 
 @pytest.fixture
 def here(monkeypatch):
-    """As if the command were given in this folder, where own.py is."""
+    """Give the command in this folder, where own.py is."""
     monkeypatch.chdir(Path(__file__).parent)
 
 
@@ -183,7 +185,10 @@ def test_the_printed_value_and_its_interval():
 
 
 def test_finished_cells_are_kept(tmp_path):
-    """Not those of other settings (how an interrupted run goes on: test_run.py)."""
+    """Keep finished cells, but not those of other settings.
+
+    How an interrupted run goes on is in test_run.py.
+    """
     calls = []
     options = {"sizes": 1, "seeds": 2, "output": tmp_path / "out"}
     first, again = (

@@ -1,5 +1,7 @@
-"""The pages' numbers: as the saved results have them, to the digit, which hold today's
-smoke cells (test_experiments).
+"""Tests of the numbers on the pages.
+
+They are as the saved results have them, to the digit; these hold today's smoke cells
+(test_experiments).
 """
 
 from pathlib import Path
@@ -24,13 +26,14 @@ def rmse(table, *keys):
 
 
 def span(values, form):
-    """Smallest to largest, as the pages write it."""
+    """Write the smallest to the largest, as the pages do."""
     return f"{min(values):{form}} to {max(values):{form}}"
 
 
 def of_the_networks(table):
-    """(grid, n) -> the default's mean error over the paper's, and the standard error of
-    that.
+    """Return the default's mean error over the paper's by (grid, n).
+
+    Beside each is its standard error.
     """
     default = table[
         (table.data == "uniform") & table.estimator.str.startswith("default")
@@ -82,8 +85,9 @@ def test_our_networks_reach_the_published_curve():
 
 
 def test_the_parts_of_the_networks_error():
-    """Each part is nonnegative within its standard error, and that of sampling falls
-    with n.
+    """Check the parts of the networks' excess risk.
+
+    Each is nonnegative within its standard error, and that of sampling falls with n.
     """
     parts = saved("networks").dropna(subset="sampling").groupby(["simulator", "n"])
     for name in ("approximation", "sampling", "optimisation"):
@@ -124,8 +128,9 @@ def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_erro
 
 
 def fitted_slopes(table, value="squared_error", start=30_000):
-    """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and
-    ratio, from ``start`` on.
+    """Fit least-squares slopes of log10 RMSE on log10 n, from ``start`` on.
+
+    There is one for each data policy, policy and ratio.
     """
     keys = ["data", "delta", "ratio"]
     points = (

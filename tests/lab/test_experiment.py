@@ -1,7 +1,10 @@
-"""Experiments as data: cells, streams, the paper's numbers; tables and pages of
-results; what a panel takes from a table.
+"""Tests of experiments as data.
+
+They cover cells, streams, the paper's numbers, tables and pages of results, and what a
+panel takes from a table.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -179,7 +182,7 @@ def test_one_legend_for_all_panels(names, is_shared):
             ax.plot([1, 2], label=letter)
         ax.legend()
     share_legend(figure)
-    assert [ax.get_legend() is None for ax in figure.axes] == [is_shared] * 2
+    assert [ax.get_legend() is None for ax in figure.axes] == [is_shared, is_shared]
     texts = [
         text.get_text() for legend in figure.legends for text in legend.get_texts()
     ]
@@ -188,9 +191,12 @@ def test_one_legend_for_all_panels(names, is_shared):
 
 @pytest.fixture
 def table():
-    """Two cases, two curves, three n, two seeds; ``error`` = 8 / n times 1 and 3,
-    ``spread`` the same for both curves.
+    """Return a table of two cases, two curves, three n and two seeds.
+
+    ``error`` is 8 / n times 1 and 3, ``spread`` the same for both curves.
     """
+    sizes = {"first": 1.0, "second": -2.0}
+    points = itertools.product((0.5, 0.25), (40, 10, 20), (1, 3), sizes)
     return pd.DataFrame(
         [
             {
@@ -198,13 +204,10 @@ def table():
                 "n": n,
                 "seed": seed,
                 "name": name,
-                "error": size * seed * 8.0 / n,
+                "error": sizes[name] * seed * 8.0 / n,
                 "spread": 1.0 / n,
             }
-            for case in (0.5, 0.25)
-            for n in (40, 10, 20)
-            for seed in (1, 3)
-            for name, size in (("first", 1.0), ("second", -2.0))
+            for case, n, seed, name in points
         ]
     )
 

@@ -1,5 +1,6 @@
-"""Every experiment: its smoke cells, saved table, page, figure and finding; ``oee
-reproduce`` as a person calls it.
+"""Tests of every experiment, and of ``oee reproduce`` as a person calls it.
+
+Each has smoke cells, a saved table, a page, a figure and a finding.
 """
 
 import html
@@ -38,8 +39,9 @@ EACH = pytest.mark.parametrize(
 
 @pytest.mark.parametrize("name", IDS)
 def test_a_smoke_cell(name):
-    """The saved table has it, it is summarised and drawn; its random numbers are those
-    of the cell and the seed.
+    """Check that the saved table has a smoke cell, and that it is summarised and drawn.
+
+    Its random numbers are those of the cell and the seed.
     """
     experiment = EXPERIMENTS[name]
     for module in experiment.requires:
@@ -111,8 +113,9 @@ def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(
 
 @EACH
 def test_a_finding_changes_with_the_numbers(experiment):
-    """No number of it is written in the code: a table whose every measure is another
-    gives another sentence.
+    """Check that no number of a finding is written in the code.
+
+    A table whose every measure is another gives another sentence.
     """
     table = saved(experiment.id)
     numbers = set(table.select_dtypes("number")) - {

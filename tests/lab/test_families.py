@@ -1,5 +1,7 @@
-"""The families: valid, made when looked up, redrawn by the seed, with a truth and a
-data distribution that are exact.
+"""Tests of the families of the benchmark.
+
+They are valid, made when looked up and redrawn by the seed; their truths and data
+distributions are exact.
 """
 
 import re
@@ -20,7 +22,7 @@ RANDOM = [*(name for name in EVERY if name.startswith("garnet_")), *HELD]
 
 
 def dense_value(mdp, policy, horizon):
-    """J by a dense solve, or a sum of powers, independent of the package's solvers."""
+    """Compute J by a dense solve or a sum of powers, without the package's solvers."""
     shape = (mdp.n_states, mdp.n_actions, mdp.n_states)
     kernel = np.einsum("sa,sat->st", policy, mdp.transitions.toarray().reshape(shape))
     paid = np.einsum("sa,sa->s", policy, mdp.rewards)
@@ -79,7 +81,10 @@ def test_known_numbers():
 
 
 def test_the_saved_run_is_of_these_families():
-    """The simulator's RMSE there is its error, where a family has no random parts."""
+    """Check the simulator's RMSE of the saved run.
+
+    It is the simulator's error, where a family has no random parts.
+    """
     cells = pd.read_csv(
         Path(__file__).parents[2] / "notebooks" / "results" / "bench" / "cells.csv"
     )

@@ -1,5 +1,6 @@
-"""The league's numbers, by hand on small tables, and by another route; its page, files
-and pictures.
+"""Tests of the league: its numbers, page, files and pictures.
+
+Numbers are checked by hand on small tables, and by another route.
 """
 
 import math
@@ -35,8 +36,9 @@ FACTS = {
 
 
 def rows(family, size, errors, *, half=None, **facts):
-    """Rows of one cell: estimator -> errors of its seeds; ``half``: estimator -> half
-    an interval's width.
+    """Return the rows of one cell, from estimator -> errors of its seeds.
+
+    ``half`` gives half the width of an estimator's intervals.
     """
     made = []
     for name, values in errors.items():
@@ -299,8 +301,10 @@ def test_the_pictures_show_every_cell():
 
 
 def test_the_floor_against_the_least_favourable_prior():
-    """Mirror ascent on the prior; its Bayes rule bounds the least worst ratio from
-    below, its worst ratio from above.
+    """Check the floor by mirror ascent on the prior.
+
+    The prior's Bayes rule bounds the least worst ratio from below, its worst ratio from
+    above.
     """
     errors = np.union1d(np.arange(0.0, 10.01, 0.1), ERRORS)
     scale = np.maximum(np.minimum(errors, 1.0), 0.5)

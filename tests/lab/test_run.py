@@ -1,4 +1,8 @@
-"""The runner: the same table in every mode, resuming, killed workers, dask."""
+"""Tests of the runner.
+
+Every mode gives the same table; interrupted runs resume, also after killed workers, and
+dask works.
+"""
 
 import os
 import re
@@ -18,7 +22,7 @@ from oee_tabular.lab.run import run_experiment
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    """(settings, the files of a run in this process)."""
+    """Return the settings and the files of a run in this process."""
     settings = EXPERIMENTS["estimands"].settings(smoke=True, repetitions=3)
     return settings, bytes_of(tmp_path_factory.mktemp("serial"), settings)
 
@@ -33,7 +37,7 @@ def test_serial_and_processes_give_the_same_files(tmp_path, serial):
 
 
 def test_a_dask_cluster_gives_the_same_files(tmp_path, serial):
-    """A scheduler and two workers, started here as a user would."""
+    """Start a scheduler and two workers here, as a user would."""
     distributed = pytest.importorskip("distributed")
     settings, expected = serial
     with distributed.LocalCluster(
@@ -151,8 +155,9 @@ def start_command(output, *more):
 
 
 def test_a_killed_process_is_resumed(tmp_path):
-    """``kill -9`` on a real command half way; the second run computes only what is
-    missing.
+    """Kill a real command half way with ``kill -9``.
+
+    The second run computes only what is missing.
     """
     process, command = start_command(tmp_path, "--jobs", "1")
     cells = tmp_path / "smoke" / "lambda_n" / "cells.jsonl"
@@ -180,7 +185,7 @@ def test_a_killed_process_is_resumed(tmp_path):
 
 
 def children_of(number):
-    """Numbers of the processes below one that run, by /proc."""
+    """Return the numbers of the running processes below one, by /proc."""
     pairs = []
     for name in filter(str.isdigit, os.listdir("/proc")):
         try:

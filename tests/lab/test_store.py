@@ -1,4 +1,6 @@
-"""A results folder: other settings, other code, damaged and malicious ones, links, two
+"""Tests of a results folder.
+
+It may have other settings, other code, damaged and malicious files, links, or two
 commands at a time.
 """
 
@@ -17,7 +19,7 @@ SETTINGS = experiment().settings()
 
 @pytest.fixture
 def folder(tmp_path):
-    """A finished run; its table is what every repaired folder must give again."""
+    """Return a finished run; every repaired folder must give its table again."""
     bytes_of(tmp_path / "a", SETTINGS)
     return tmp_path / "a"
 
@@ -112,18 +114,18 @@ def test_a_changed_module_of_the_user_is_other_code(tmp_path, monkeypatch):
 
 
 def signed(content):
-    """A line whose checksum is right, whatever it says."""
+    """Return a line whose checksum is right, whatever it says."""
     text = json.dumps(content, sort_keys=True).encode()
     return json.dumps({"content": content, "sha256": hashlib.sha256(text).hexdigest()})
 
 
 def change(**parts):
-    """The line with other content, and a checksum that is right."""
+    """Return the line with other content, and a checksum that is right."""
     return lambda line: signed(json.loads(line)["content"] | parts)
 
 
 def alter(name, value):
-    """The line with another setting of its cell."""
+    """Return the line with another setting of its cell."""
 
     def altered(line):
         content = json.loads(line)["content"]
@@ -210,11 +212,12 @@ def test_nothing_is_written_through_what_is_no_plain_file(tmp_path, name, kind):
     path = tmp_path / "r" / name
     path.parent.mkdir()
     precious.write_text("mine")
-    (
+    if kind == "folder":
         path.mkdir()
-        if kind == "folder"
-        else path.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
-    )
+    elif kind == "link":
+        path.symlink_to(precious)
+    else:
+        path.symlink_to(tmp_path / "nowhere")
     for attempt in (
         lambda: run_experiment(path.parent, SETTINGS),
         lambda: alone(path.parent).__enter__(),

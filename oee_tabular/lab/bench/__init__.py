@@ -18,9 +18,10 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -57,9 +58,18 @@ __all__ = [
     "tandem",
 ]
 
+# one estimator: a name, or a callable as in ``oee.testing``
+EstimatorLike: TypeAlias = str | Callable[..., Any]
+EstimatorsLike: TypeAlias = (
+    EstimatorLike | Sequence[EstimatorLike] | Mapping[str, EstimatorLike]
+)
+FamiliesLike: TypeAlias = (
+    str | Iterable[str] | Mapping[str, Family] | Callable[..., Mapping[str, Family]]
+)
+
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
-TIMEOUT = 600.0  # seconds of an estimate
+TIMEOUT_SECONDS = 600.0  # seconds of an estimate
 REFERENCES: Mapping[str, Estimator] = {
     LIKELIHOOD: ModelBased(fallback="simulator"),
     SIMULATOR: Simulator(),
@@ -67,16 +77,16 @@ REFERENCES: Mapping[str, Estimator] = {
 
 
 def run(
-    estimators: object = ("oee", "model-based"),
+    estimators: EstimatorsLike = ("oee", "model-based"),
     *,
-    families: object = None,
-    sizes: object = SIZES,
+    families: FamiliesLike | None = None,
+    sizes: float | Iterable[float] = SIZES,
     seeds: int = SEEDS,
     seed: int = 0,
-    timeout: float = TIMEOUT,
+    timeout: float = TIMEOUT_SECONDS,
     jobs: int = 1,
     dask: str | None = None,
-    output: Any = None,
+    output: str | PathLike[str] | None = None,
     fresh: bool = False,
     progress: bool = False,
 ) -> League:
@@ -159,12 +169,12 @@ def run(
         seed=seed,
         timeout=timeout,
     )
-    with (
-        (
-            tempfile.TemporaryDirectory() if output is None else nullcontext(output)
-        ) as folder,
-        alone(Path(folder)),
-    ):
+    place: AbstractContextManager[str | PathLike[str]]
+    if output is None:
+        place = tempfile.TemporaryDirectory()
+    else:
+        place = nullcontext(output)
+    with place as folder, alone(Path(folder)):
         store = run_experiment(
             Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress
         )
@@ -172,13 +182,13 @@ def run(
 
 
 def plan(
-    estimators: object,
+    estimators: EstimatorsLike,
     *,
-    families: object = None,
-    sizes: Any = SIZES,
+    families: FamiliesLike | None = None,
+    sizes: float | Iterable[float] = SIZES,
     seeds: int = SEEDS,
     seed: int = 0,
-    timeout: float = TIMEOUT,
+    timeout: float = TIMEOUT_SECONDS,
 ) -> RunSettings:
     """Check the arguments of ``run`` and return them as settings of an experiment.
 
@@ -189,7 +199,7 @@ def plan(
     limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)
-    values = [sizes] if np.isscalar(sizes) else list(sizes)
+    values = [sizes] if np.isscalar(sizes) else list(cast("Iterable[float]", sizes))
     numbers = sorted(
         {
             _checks.number_in(value, "sizes", 0.0, np.inf, open_ends=True)
@@ -214,16 +224,15 @@ def plan(
         measures=(),
         draw=lambda table, summary, figure: None,
     )
-    label = (
-        "the package's"
-        if source is None
-        else source
-        if isinstance(source, str)
-        else "given"
-    )
-    asked = {"estimators": list(chosen), "families": label} | (
-        {} if limit == TIMEOUT else {"timeout": limit}
-    )
+    label = "given"
+    if source is None:
+        label = "the package's"
+    elif isinstance(source, str):
+        label = source
+    asked: dict[str, Any] = {"estimators": list(chosen), "families": label}
+    # Folders of earlier versions have no timeout in their settings.
+    if limit != TIMEOUT_SECONDS:
+        asked["timeout"] = limit
     return RunSettings(
         experiment,
         experiment.axes,
@@ -273,12 +282,15 @@ def facts_of(family: Family, problem: Problem) -> Row:
     """
     n = len(problem.log)
     horizon = family.horizon
+    # Without a discount and a horizon the occupancy may be infinite; an episode's is not.
     is_endless = horizon is None and family.target.discount == 1.0
-    time = occupancy(
-        family.target, family.policy, horizon=family.length if is_endless else horizon
-    )
+    steps = family.length if is_endless else horizon
+    time = occupancy(family.target, family.policy, horizon=steps)
     time = np.where(family.target.absorbing()[:, None], 0.0, time)
     observed = row_sums(problem.counts).reshape(time.shape) > 0
+    covered = 1.0
+    if time.sum() > 0:
+        covered = float(time[observed].sum() / time.sum())
     bound = math.inf
     if not is_endless:
         bound = efficiency_bound(
@@ -289,7 +301,7 @@ def facts_of(family: Family, problem: Problem) -> Row:
         "open_rows": family.open_rows,
         "identical": family.identical,
         "truth": family.truth,
-        "covered": float(time[observed].sum() / time.sum()) if time.sum() > 0 else 1.0,
+        "covered": covered,
         "bound": bound / n if math.isfinite(bound) else math.nan,
     }
 
@@ -323,16 +335,13 @@ def measure(
         seconds = time.process_time() - start
         value = float(estimate.value)
         if not math.isfinite(value):
-            is_explained = estimate.status not in ("ok", UNEXPLAINED)
-            return row | {
-                "seconds": seconds,
-                "status": estimate.status if is_explained else f"the value is {value}",
-            }
-        error = (
-            math.nan
-            if estimate.standard_error is None
-            else float(estimate.standard_error)
-        )
+            reason = estimate.status
+            if reason in ("ok", UNEXPLAINED):
+                reason = f"the value is {value}"
+            return row | {"seconds": seconds, "status": reason}
+        error = math.nan
+        if estimate.standard_error is not None:
+            error = float(estimate.standard_error)
         lower = value - NORMAL * error
         upper = value + NORMAL * error
         method = "value +- 1.96 standard errors"
@@ -374,23 +383,23 @@ def choose_estimators(given: Any) -> dict[str, Any]:
         given = split(given)
     elif not isinstance(given, Mapping | Sequence):
         given = [given]
+    named: Iterable[tuple[Any, Any]]
+    if isinstance(given, Mapping):
+        named = given.items()
+    else:
+        named = [(None, item) for item in given]
     chosen: dict[str, Any] = {}
-    for key, item in (
-        given.items()
-        if isinstance(given, Mapping)
-        else [(None, item) for item in given]
-    ):
+    for key, item in named:
         if not isinstance(item, str) and not callable(item):
             raise ArgumentError(
                 "estimators",
                 f"must be names, MODULE:OBJECT or callables; got {_checks.show(item)}",
             )
-        name = (
-            item
-            if isinstance(item, str)
-            else str(getattr(item, "__name__", type(item).__name__))
-        )
-        name = name if key is None else str(key)
+        name = item
+        if key is not None:
+            name = str(key)
+        elif not isinstance(item, str):
+            name = str(getattr(item, "__name__", type(item).__name__))
         while key is None and name in chosen and not isinstance(item, str):
             name += "'"
         if name in chosen:
@@ -403,10 +412,9 @@ def choose_estimators(given: Any) -> dict[str, Any]:
                 f"must not be called {name!r}, which is a reference;"
                 f" {_checks.show(item)} is",
             )
-        if isinstance(item, str) and item not in (
-            *REFERENCES,
-            *estimator_names(needs_target=True),
-        ):
+        # An oracle needs the family's target; references need no look-up.
+        special = (*REFERENCES, *estimator_names(needs_target=True))
+        if isinstance(item, str) and item not in special:
             look_up_estimator(item)
         chosen[name] = item
     if not chosen:
@@ -437,11 +445,10 @@ def look_up_estimator(spec: str) -> Any:
     if name:
         with own_modules():
             return own_estimator(spec)
-    return (
-        evaluate_as_printed
-        if spec == "evaluate"
-        else next(iter(named_estimators([spec]).values()))
-    )
+    if spec == "evaluate":
+        return evaluate_as_printed
+    (estimator,) = named_estimators([spec]).values()
+    return estimator
 
 
 def evaluate_as_printed(
@@ -476,8 +483,9 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
         names = tuple(families(seed))
     elif isinstance(given, str | Mapping) or not isinstance(given, Iterable):
         names = tuple(families_at(given, seed))
-    else:
-        given, names = None, tuple(dict.fromkeys(given))
+    else:  # names of the package's families
+        names = tuple(dict.fromkeys(given))
+        given = None
     if not names:
         raise ArgumentError("families", "must name at least one; it is empty")
     for name in names:
@@ -492,11 +500,11 @@ def find_family(source: Any, name: str, seed: int) -> Family:
     """
     every = families_at(source, seed)
     if name not in every:
-        missing = (
-            f"families must have {name!r} at every seed; at seed {seed} it is missing"
-        )
-        raise ValueError(
-            every.missing(name) if isinstance(every, Families) else missing
+        if isinstance(every, Families):
+            raise ValueError(every.missing(name))
+        raise ArgumentError(
+            "families",
+            f"must have {name!r} at every seed; at seed {seed} it is missing",
         )
     family = every[name]
     if not isinstance(family, Family):
@@ -596,7 +604,7 @@ def bench(
         "seeds": (seeds, SEEDS),
         "seed": (seed, 0),
         "families": (families, None),
-        "timeout": (timeout, TIMEOUT),
+        "timeout": (timeout, TIMEOUT_SECONDS),
     }
     words = [
         f" --{name} {value}"
@@ -622,7 +630,6 @@ def bench(
         output, settings, write, say=say, progress=sys.stderr.isatty(), **options
     )
     own = families_at(None, seed)
-    for sentence in (
-        own.left_out.values() if families is None and isinstance(own, Families) else ()
-    ):
-        say(sentence)
+    if families is None and isinstance(own, Families):
+        for sentence in own.left_out.values():
+            say(sentence)

@@ -63,11 +63,9 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
             "must have behaviour probabilities for importance sampling; it has none",
         )
     lengths = np.diff(starts)
-    steps = (
-        int(lengths.max())
-        if problem.horizon is None
-        else min(int(lengths.max()), problem.horizon)
-    )
+    steps = int(lengths.max())
+    if problem.horizon is not None:
+        steps = min(steps, problem.horizon)
     time = np.arange(steps)
     alive = time < lengths[:, None]
     row = starts[:-1, None] + np.minimum(time, lengths[:, None] - 1)
@@ -99,8 +97,10 @@ class Peer:
     --------
     >>> Peer("scope-rl", "PDIS")
     Traceback (most recent call last):
-    ValueError: scope-rl's estimator must be one of 'TrajectoryWiseImportanceSampling', 'PerDecisionImportanceSampling',
-    'SelfNormalizedTIS', 'SelfNormalizedPDIS', 'DoublyRobust', 'SelfNormalizedDR'; got 'PDIS'
+    oee_tabular.exceptions.ArgumentError: scope-rl's estimator must be one of
+    'TrajectoryWiseImportanceSampling', 'PerDecisionImportanceSampling',
+    'SelfNormalizedTIS', 'SelfNormalizedPDIS', 'DoublyRobust', 'SelfNormalizedDR';
+    got 'PDIS'
     """
 
     library: str
@@ -120,14 +120,14 @@ class Peer:
         """
         try:
             if self.library == "scope-rl":
-                return getattr(
-                    importlib.import_module("scope_rl.ope.discrete.basic_estimators"),
-                    self.estimator,
-                )()
-            return getattr(
-                importlib.import_module("offline_rl_ope.api").StandardEstimators.IS,
-                self.estimator,
-            )()
+                place = importlib.import_module(
+                    "scope_rl.ope.discrete.basic_estimators"
+                )
+            else:
+                place = importlib.import_module(
+                    "offline_rl_ope.api"
+                ).StandardEstimators.IS
+            return getattr(place, self.estimator)()
         except ImportError as error:
             raise ImportError(
                 f"{self.library}:{self.estimator} needs {self.library}; in a clone: pip"

@@ -36,21 +36,22 @@ from oee_tabular.lab.bench.family import (
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 
-SIMULATED = 0.15  # slip of the floors
-# half the expert's
+SIMULATOR_SLIP = 0.15  # slip of the floors
+# The policy acts as the expert in half of the steps; uniform actions record the target.
 PAPER: dict[str, Any] = {
     "policy": gridworld_policy(10, 0.5),
     "recorded": 0.0,
     "length": 1000,
 }
 ROW, COLUMN = np.indices((8, 8)).reshape(2, 64, 1)
+IS_MIDDLE = (ROW >= 3) & (ROW < 6) & (COLUMN >= 3) & (COLUMN < 6)
 MISSING_ICU = (
     "icu_sepsis is left out: it needs the package icu-sepsis (in a clone: pip install"
     " '.[bench]')."
 )
 
 
-def floor(slip: Any = SIMULATED) -> FiniteMDP:
+def floor(slip: Any = SIMULATOR_SLIP) -> FiniteMDP:
     """Make a floor of 8 x 8 cells, started anywhere.
 
     ``slip`` is a number, or one for each cell, or one for each (cell, action).
@@ -261,22 +262,18 @@ FLOORS: dict[str, Maker] = {
         "Nine cells in the middle of the floor are slippery, which the simulator does"
         " not know.",
         floor(),
-        floor(
-            np.where(
-                (ROW >= 3) & (ROW < 6) & (COLUMN >= 3) & (COLUMN < 6), 0.6, SIMULATED
-            )
-        ),
+        floor(np.where(IS_MIDDLE, 0.6, SIMULATOR_SLIP)),
     ),
     "floor_motor": lambda: pair(
         "One of the four motors is weak.",
         floor(),
-        floor(np.array([0.55, SIMULATED, SIMULATED, SIMULATED])),
+        floor(np.array([0.55, SIMULATOR_SLIP, SIMULATOR_SLIP, SIMULATOR_SLIP])),
         recorded=0.0,
     ),
     "floor_chequered": lambda: pair(
         "Every other cell of the floor is more slippery than simulated.",
         floor(),
-        floor(np.where((ROW + COLUMN) % 2, 0.4, SIMULATED)),
+        floor(np.where((ROW + COLUMN) % 2, 0.4, SIMULATOR_SLIP)),
         recorded=0.9,
     ),
     "floor_wind": lambda: pair(
@@ -460,7 +457,9 @@ class Families(Mapping[str, Family]):
         if name in self.left_out:
             return self.left_out[name]
         near = difflib.get_close_matches(str(name), list(self._makers), n=3, cutoff=0.4)
-        hint = f"; nearest: {', '.join(near)}" if near else ""
+        hint = ""
+        if near:
+            hint = f"; nearest: {', '.join(near)}"
         return (
             f"family must be one of {', '.join(self._makers)}; got"
             f" {_checks.show(name)}{hint}"
@@ -468,7 +467,7 @@ class Families(Mapping[str, Family]):
 
     def _make(self, name: str) -> Family:
         """Make the family of a name, with a ValueError that names it."""
-        # of the name alone
+        # The numbers depend on the name and the seed, not on the other families.
         words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")
         try:
             if not inspect.signature(self._makers[name]).parameters:
@@ -521,10 +520,9 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     False
     """
     _checks.boolean(large, "large")
-    left_out = {} if icu_file() else {"icu_sepsis": MISSING_ICU}
-    makers = {
-        name: make
-        for name, make in ({**MADE, **LARGE} if large else MADE).items()
-        if name not in left_out
-    }
+    makers = {**MADE, **LARGE} if large else dict(MADE)
+    left_out = {}
+    if icu_file() is None:
+        del makers["icu_sepsis"]
+        left_out["icu_sepsis"] = MISSING_ICU
     return Families(makers, check_seed(seed), left_out)

@@ -25,6 +25,7 @@ SUSCEPTIBLE, INFECTED = np.array(
     [(s, i) for s in range(PEOPLE + 1) for i in range(PEOPLE + 1 - s)]
 ).T
 PATIENTS = 6
+# counts of cured and failed with one arm, and with the other
 TRIALS = np.array(
     [
         counts
@@ -32,11 +33,14 @@ TRIALS = np.array(
         if sum(counts) <= PATIENTS
     ]
 )
-# of cured, failed with one arm, and with the other
 NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)
 NUMBER_OF_TRIAL[tuple(TRIALS.T)] = np.arange(len(TRIALS))
 CURES = TRIALS[:, 0] + TRIALS[:, 2]
+# of the search for a place: states 2 * distance + (whether it is free), and 30, the end
 PLACES = np.arange(31)[:, None]
+PARKS = PLACES % 2 * np.array([0, 1])
+PARKING_REWARDS = np.where(PARKS, -0.2 - 0.5 * (PLACES // 2), -0.3)
+PARKING_REWARDS[30] = 0.0
 NOISE = np.array([0.05, 0.2, 0.5, 0.2, 0.05])
 WIDE = NOISE**0.5 / (NOISE**0.5).sum()
 HARVESTS = np.array([0, 1, 2, 4, 6])
@@ -123,8 +127,8 @@ def tandem(size: int = 45) -> Family:
         state: IntArray, action: IntArray, arrival: float, first: float, second: float
     ) -> Moves:
         """Return the transitions of both queues."""
-        (i, j) = np.divmod(state, size)
-        (fast_2, fast_1) = np.divmod(action, 2)
+        i, j = np.divmod(state, size)
+        fast_2, fast_1 = np.divmod(action, 2)
         one = first * np.where(fast_1, 1.6, 1.0)
         two = second * np.where(fast_2, 1.6, 1.0)
         yield arrival, np.minimum(i + 1, size - 1) * size + j
@@ -423,11 +427,7 @@ TRADES: dict[str, Maker] = {
     "parking": shift(
         "Free places are rarer than simulated.",
         (31, 2),
-        np.where(
-            PLACES == 30,
-            0.0,
-            np.where(PLACES % 2 * [0, 1], -0.2 - 0.5 * (PLACES // 2), -0.3),
-        ),
+        PARKING_REWARDS,
         0.99,
         (0.5,),
         (0.3,),

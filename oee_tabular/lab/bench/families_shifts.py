@@ -70,11 +70,10 @@ def match_value(
 
     The parameter lies in [low, high].
     """
-    return family_at(
-        optimize.brentq(
-            lambda parameter: miss(family_at(parameter)), low, high, xtol=1e-3
-        )
+    parameter = optimize.brentq(
+        lambda parameter: miss(family_at(parameter)), low, high, xtol=1e-3
     )
+    return family_at(parameter)
 
 
 def draw_garnet(
@@ -96,6 +95,12 @@ def draw_garnet(
     return table
 
 
+def draw_deck(rng: np.random.Generator) -> tuple[Array]:
+    """Draw the probabilities of cards 1 to 10 in the target of blackjack."""
+    factors = [1, rng.uniform(1.4, 1.9), 1, rng.uniform(0.4, 0.7)]
+    return (normalize(DECK * np.repeat(factors, [4, 2, 3, 1])),)
+
+
 def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
     """Return the transitions of blackjack, drawing or standing.
 
@@ -109,9 +114,8 @@ def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
     for t in range(1, 17):
         dealer[:, t + 1 : t + 11] += dealer[:, t : t + 1] * cards
     yield (1 - stand) * cards, np.where(total + drawn > 21, 200, s + 10 * drawn)
-    wins = np.where(
-        (final > 21) | (final < total), 202, np.where(final == total, 201, 200)
-    )
+    is_won = (final > 21) | (final < total)
+    wins = np.where(is_won, 202, np.where(final == total, 201, 200))
     yield stand * dealer[s[:, :, 0] % 10, 17:27], wins
 
 
@@ -164,8 +168,9 @@ def epidemic_superspreading(
     Actions are open, distance and closed.
     """
     mean = 0.3 + np.array([0.45, 0.28, 0.15])[action] * infected * (1 - infected / 45)
-    new = stats.nbinom.pmf(np.arange(200), dispersion, dispersion / (dispersion + mean))
-    still_ill = stats.binom.pmf(np.arange(31), infected, 0.7)[:, 0]
+    chance = dispersion / (dispersion + mean)
+    new = np.asarray(stats.nbinom.pmf(np.arange(200), dispersion, chance))
+    still_ill = np.asarray(stats.binom.pmf(np.arange(31), infected, 0.7))[:, 0]
     law = np.zeros((31, 3, 230))
     for i, a in np.ndindex(31, 3):
         law[i, a, : 200 + i] = np.convolve(new[i, a], still_ill[i, : i + 1])
@@ -176,8 +181,11 @@ def find_law_of_mean_5(
     weights: Callable[[float], Any], low: float, high: float
 ) -> Array:
     """Find the distribution of claims with mean 5 in a family of weights."""
-    root = optimize.brentq(lambda x: normalize(weights(x)) @ CLAIMS - 5, low, high)
-    return normalize(weights(root))
+
+    def excess(parameter: float) -> float:
+        return float(normalize(weights(parameter)) @ CLAIMS - 5)
+
+    return normalize(weights(optimize.brentq(excess, low, high)))
 
 
 def insurance_claims(
@@ -225,7 +233,8 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
         )
         return from_tables(about, (table, real), rewards, 0.95)
 
-    while miss(family_at(5.0)) > 0.0:  # the states drawn to be worse matter too little
+    # Drawn again where the states drawn to be worse matter too little.
+    while miss(family_at(5.0)) > 0.0:
         better = rng.random(40) < 0.5
     return match_value(family_at, 0.0, 5.0)
 
@@ -283,8 +292,11 @@ def random_yield(stock: IntArray, action: IntArray, dispersion: float) -> Moves:
     Batches are 0, 3, 6 and 10.
     """
     sold, good = np.divmod(np.arange(31 * 11), 11)
-    law = stats.betabinom.pmf(
-        np.arange(11), BATCHES[action], 0.7 * dispersion, 0.3 * dispersion
+    # The mean yield is .7 whatever the dispersion.
+    law = np.asarray(
+        stats.betabinom.pmf(
+            np.arange(11), BATCHES[action], 0.7 * dispersion, 0.3 * dispersion
+        )
     )
     law[:, 0] = np.arange(11) == 0
     return [(cross(DEMAND, law), np.maximum(stock - sold, 0) + good)]
@@ -377,19 +389,15 @@ def traffic_hours(s: IntArray, green: IntArray, north: Array, west: Array) -> Mo
 
     def queue(waiting: IntArray, is_green: IntArray, rate: Array) -> Array:
         """Return the distribution of the next length of one queue."""
-        leave, come = (
-            stats.binom.pmf(np.arange(3), 2, p) for p in (0.85 * is_green, rate)
-        )
+        leave = np.asarray(stats.binom.pmf(np.arange(3), 2, 0.85 * is_green))
+        come = np.asarray(stats.binom.pmf(np.arange(3), 2, rate))
         law = cross(leave, come)
-        (served, new) = np.divmod(np.arange(9), 3)
+        served, new = np.divmod(np.arange(9), 3)
         after = np.minimum(np.maximum(waiting - served, 0) + new, 6)
-        return np.stack(
-            [
-                sum(law[..., k] * (after[..., k] == n) for k in range(9))
-                for n in range(7)
-            ],
-            axis=-1,
-        )
+        lengths = [
+            sum(law[..., k] * (after[..., k] == n) for k in range(9)) for n in range(7)
+        ]
+        return np.stack(lengths, axis=-1)
 
     law = cross(
         queue(CARS[0][s], 1 - green, north[hour]), queue(CARS[1][s], green, west[hour])
@@ -405,18 +413,15 @@ def two_motors(s: IntArray, action: IntArray, wear: float, overshoots: float) ->
 
     def place(at: IntArray, way: IntArray, fails: Any, overshoots: float) -> Array:
         """Return the distribution of the next place along one axis."""
+        # A motor that is asked to move goes 0, 1 or 2 places; at rest it drifts.
         shares = [
-            np.where(way, p, q)
-            for p, q in (
-                (fails, 0.03),
-                (1 - fails - overshoots, 0.94),
-                (overshoots, 0.03),
-            )
+            np.where(way, fails, 0.03),
+            np.where(way, 1 - fails - overshoots, 0.94),
+            np.where(way, overshoots, 0.03),
         ]
         after = [np.clip(at + np.where(way, k * way, k - 1), 0, 8) for k in range(3)]
-        return np.asarray(
-            sum(p * (to == np.arange(9)) for p, to in zip(shares, after, strict=True))
-        )
+        parts = [p * (to == np.arange(9)) for p, to in zip(shares, after, strict=True)]
+        return np.asarray(sum(parts))
 
     one = place(X[s], action // 3 - 1, 0.1 + wear * X[s] / 8, 0.05)
     return [(cross(one, place(Y[s], action % 3 - 1, 0.1, overshoots)), np.arange(81))]
@@ -443,14 +448,7 @@ FAMILIES: dict[str, Maker] = {
         OUTCOME,
         0.99,
         (DECK,),
-        lambda rng: (
-            normalize(
-                DECK
-                * np.repeat(
-                    [1, rng.uniform(1.4, 1.9), 1, rng.uniform(0.4, 0.7)], [4, 2, 3, 1]
-                )
-            ),
-        ),
+        draw_deck,
         blackjack,
         start=range(20, 150),
         ends=range(200, 203),

@@ -201,10 +201,8 @@ class Family:
         int
             The rounded number of transitions, at least 1.
         """
-        return max(
-            1,
-            round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows),
-        )
+        number = _checks.number_in(per_row, "per_row", 0.0, np.inf)
+        return max(1, round(number * self.open_rows))
 
     def log(self, n: int, seed: Seed) -> Transitions:
         """Record exactly ``n`` transitions of the data policy in the target.
@@ -233,13 +231,11 @@ class Family:
             )
             if len(whole) >= size:
                 columns = {
-                    name: column
+                    name: column[:size]
                     for name, column in whole.columns().items()
                     if name != "truncated"
                 }
-                return Transitions(
-                    **{name: column[:size] for name, column in columns.items()}
-                )
+                return Transitions(**columns)
             episodes *= 2
 
     def problem(self, n: int, seed: Seed) -> Problem:
@@ -281,9 +277,8 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
             f" {target.initial[s]:g} there, {simulator.initial[s]:g} in the simulator",
         )
     paid = simulator.with_transitions(target.transitions).rewards
-    bad = np.argwhere(
-        ~(np.abs(paid - target.rewards) <= 1e-9 * max(1.0, float(np.abs(paid).max())))
-    )
+    tolerance = 1e-9 * max(1.0, float(np.abs(paid).max()))
+    bad = np.argwhere(~(np.abs(paid - target.rewards) <= tolerance))
     if len(bad):
         s, a = (int(i) for i in bad[0])
         raise ArgumentError(
@@ -334,12 +329,13 @@ def pair(
     if not isinstance(target, FiniteMDP):
         target = simulator.with_transitions(target)
     uniform = uniform_policy(simulator)
-    pi = mix(optimal_policy(simulator), uniform, optimal) if policy is None else policy
+    if policy is None:
+        policy = mix(optimal_policy(simulator), uniform, optimal)
     return Family(
         simulator,
         target,
-        pi,
-        mix(pi, uniform, recorded),
+        policy,
+        mix(policy, uniform, recorded),
         about,
         horizon=horizon,
         length=horizon or length,
@@ -424,7 +420,9 @@ def shift(
         """Return the family of a target with these parameters."""
         return pair(about, model(believed), model(parameters), **options)
 
-    return (lambda rng: build(real(rng))) if callable(real) else (lambda: build(real))
+    if callable(real):
+        return lambda rng: build(real(rng))
+    return lambda: build(real)
 
 
 def scale_rows(matrix: sparse.csr_array) -> sparse.csr_array:
@@ -450,13 +448,9 @@ def poisson(mean: Any, largest: Any) -> Array:
 def binomial(n: Any, probability: Any) -> Array:
     """Return Pr(N = k) of a binomial number N, k along the last axis."""
     k = np.arange(np.max(n) + 1)
-    return np.where(
-        k <= n,
-        special.comb(n, k)
-        * probability**k
-        * (1.0 - probability) ** np.maximum(n - k, 0),
-        0.0,
-    )
+    failures = np.maximum(n - k, 0)
+    law = special.comb(n, k) * probability**k * (1.0 - probability) ** failures
+    return np.where(k <= n, law, 0.0)
 
 
 def cross(one: Array, other: Array) -> Array:

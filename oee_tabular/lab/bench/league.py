@@ -62,7 +62,7 @@ ERRORS = np.array(
         5.0,
     ]
 )
-RATIOS = np.array(
+FLOOR_RATIOS = np.array(
     [  # python tests/benchmarks/floor.py
         1.009,
         1.019,
@@ -86,11 +86,14 @@ RATIOS = np.array(
     ]
 )
 N_RESAMPLES = 2000  # of the seeds
-LOW = 0.05  # the bootstrap quantile that a sure ratio exceeds
-LIMIT = 1.1
-TRUSTED_SIZE = 3.0  # transitions per stochastic pair from which intervals count
-TRUSTED_COVER = 0.9  # share of the policy's time above which they do
-FEW = 10  # logs of a family, below which its coverage is not called the worst
+# a ratio is surely above SURE_RATIO where this quantile of its bootstrap is
+SURE_QUANTILE = 0.05
+SURE_RATIO = 1.1
+# Intervals count on logs of at least so many transitions per stochastic pair that cover
+# more than this share of the policy's time.
+MIN_INTERVAL_SIZE = 3.0
+MIN_INTERVAL_COVER = 0.9
+MIN_FAMILY_LOGS = 10  # below it a family's coverage is not called the worst
 NORMAL = 1.959963984540054
 
 
@@ -104,18 +107,23 @@ def wide(
     return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
 
 
-def _cell_rows(key: tuple[str, float], part: pd.DataFrame) -> list[dict[str, Any]]:
+def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
     """Return one row for each estimator of a cell."""
     family, size = key
     errors = wide(part, ["seed"], "error")
     first = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
     eff = np.sqrt(first["bound"].to_numpy())
-    is_counted = (first["covered"] > TRUSTED_COVER).to_numpy() & (size >= TRUSTED_SIZE)
+    is_counted = (first["covered"] > MIN_INTERVAL_COVER).to_numpy() & (
+        size >= MIN_INTERVAL_SIZE
+    )
     rows = []
     for name, mine in part.groupby("estimator", sort=False):
         mine = mine.set_index("seed").reindex(errors.index)
         known = errors[name].notna().to_numpy()
         squares = (errors[[name, LIKELIHOOD, SIMULATOR]].to_numpy()[known] ** 2).T
+        ratios = {}
+        if known.any():
+            ratios = _ratios(squares, eff[known])
         rows.append(
             {
                 "family": family,
@@ -125,7 +133,7 @@ def _cell_rows(key: tuple[str, float], part: pd.DataFrame) -> list[dict[str, Any
                 "identical": bool(first["identical"].iloc[0]),
                 "seeds": len(mine),
                 "failed": int((~known).sum()),
-                **(_ratios(squares, eff[known]) if known.any() else {}),
+                **ratios,
                 "bias": float(errors[name].mean()),
                 "covered": float(first["covered"].mean()),
                 **_intervals(mine, eff, is_counted),
@@ -153,7 +161,7 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
         LIKELIHOOD: float(likelihood[0]),
         SIMULATOR: float(simulator[0]),
         "ratio": float(ratio[0]),
-        "low": float(np.quantile(ratio[1:], LOW, method="lower")),
+        "low": float(np.quantile(ratio[1:], SURE_QUANTILE, method="lower")),
         "b": float(simulator[0] / unit),
         "floor": float(floor(simulator[0] / unit)),
         "over_likelihood": float(_divide(rmse, likelihood)[0]),
@@ -217,7 +225,7 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         worst_cell = f"{worst['family']} at {worst['size']:g}"
     sums = cells[["logs", "held", "se_logs", "se_held"]].sum()
     by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
-    share = (by["held"] / by["logs"])[by["logs"] >= FEW]
+    share = (by["held"] / by["logs"])[by["logs"] >= MIN_FAMILY_LOGS]
     return {
         "estimator": cells["estimator"].iloc[0],
         "families": cells["families"].iloc[0],
@@ -226,7 +234,7 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "floor": geometric_mean(known["floor"]),
         "worst": worst_ratio,
         "worst cell": worst_cell,
-        "surely above 1.1": float((known["low"] > LIMIT).mean()),
+        "surely above 1.1": float((known["low"] > SURE_RATIO).mean()),
         "over likelihood": geometric_mean(known["over_likelihood"]),
         "over eff": geometric_mean(known["over_eff"]),
         "logs": int(sums["logs"]),
@@ -251,7 +259,7 @@ def floor(error: RealArrayLike) -> Array:
     >>> floor(np.array([0.0, 0.5, 1.0, 3.0, 50.0])).round(2).tolist()
     [1.01, 1.22, 0.83, 1.22, 1.22]
     """
-    return np.asarray(np.interp(np.abs(error), ERRORS, RATIOS))
+    return np.asarray(np.interp(np.abs(error), ERRORS, FLOOR_RATIOS))
 
 
 def geometric_mean(values: pd.Series[float]) -> float:
@@ -272,7 +280,9 @@ PICTURES = {
     "sizes": "RMSE by size",
     "heat": "Ratio by family and size",
 }
-REACH = 3.0  # powers of two on either side of 1 that the heat map's colours tell apart
+MAX_HEAT_POWER = (
+    3.0  # powers of two on either side of 1 that the heat map's colours tell apart
+)
 N_CURVES = 10  # estimators that the picture over sizes shows
 EXPLAINED = (
     "A ratio is the RMSE over max(min(RMSE of maximum likelihood, RMSE of the"
@@ -483,12 +493,16 @@ class League:
                 .to_numpy()
             )
             with np.errstate(divide="ignore"):
-                power = np.clip(np.log2(ratios), -REACH, REACH)
+                power = np.clip(np.log2(ratios), -MAX_HEAT_POWER, MAX_HEAT_POWER)
             image = ax.imshow(
-                power, cmap=DIVERGING, vmin=-REACH, vmax=REACH, aspect="auto"
+                power,
+                cmap=DIVERGING,
+                vmin=-MAX_HEAT_POWER,
+                vmax=MAX_HEAT_POWER,
+                aspect="auto",
             )
             for (i, j), ratio in np.ndenumerate(ratios):
-                color = "black" if abs(power[i, j]) < 0.6 * REACH else "white"
+                color = "black" if abs(power[i, j]) < 0.6 * MAX_HEAT_POWER else "white"
                 text = "-" if np.isnan(ratio) else f"{ratio:.2g}"
                 ax.text(j, i, text, ha="center", va="center", fontsize=8.5, color=color)
             ax.set_title(shorten(name), fontsize="medium")

@@ -69,14 +69,14 @@ from oee_tabular.typing import Array
 
 DELTAS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 GRAVITIES = (7.5, 10.0, 12.5, 15.0)
-SIMULATED = 10.0
+SIMULATOR_GRAVITY = 10.0
 HORIZON = 100
 EPISODES = 400_000
 CASES = {
     "target": (GRAVITIES, PAPER_NOISE, False),
     "target without noise": (GRAVITIES, 0.0, False),  # Gymnasium's
-    "simulator": ((SIMULATED,), PAPER_NOISE, False),
-    "deterministic expert": ((SIMULATED,), PAPER_NOISE, True),
+    "simulator": ((SIMULATOR_GRAVITY,), PAPER_NOISE, False),
+    "deterministic expert": ((SIMULATOR_GRAVITY,), PAPER_NOISE, True),
 }
 
 
@@ -168,7 +168,8 @@ def calibrate(
     raw, inside = (exact_values(model, policies) for model in (mdp, simulator))
     return {
         name: raw,
-        f"{name}, calibrated": raw * (true_values("simulator", SIMULATED) / inside),
+        f"{name}, calibrated": raw
+        * (true_values("simulator", SIMULATOR_GRAVITY) / inside),
     }
 
 
@@ -246,7 +247,7 @@ def off_environment(
     Other cells and strength may be given, or cells of the whole state (``form``
     "full").
     """
-    task = CartPole(SIMULATED, form=form)
+    task = CartPole(SIMULATOR_GRAVITY, form=form)
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", message=".*(ends do not show in the features|They are left out)"
@@ -273,7 +274,9 @@ def estimates(
     policies = policies_of(found.simulator)
     n_actions = found.simulator.task.n_actions
     cells = GridInterpolation(model.cells.shape, vertex_weight=0.0)
-    looked = discretize(CartPole(SIMULATED), log, cells=cells, closure_episodes=0)
+    looked = discretize(
+        CartPole(SIMULATOR_GRAVITY), log, cells=cells, closure_episodes=0
+    )
     seen = sparse.diags_array((row_sums(found.counts) > 0).astype(float))
     both = found.counts, sparse.csr_array(seen @ looked.mdp.transitions)
     counted, same = (
@@ -281,7 +284,7 @@ def estimates(
     )
     target = discretize(CartPole(gravity, noise), cells=model, closure_episodes=0)
     return {
-        "simulator": true_values("simulator", SIMULATED),
+        "simulator": true_values("simulator", SIMULATOR_GRAVITY),
         **found.values,
         **calibrate("model-based", counted, same, policies),
         "linear model": fine_values(LinearGaussian(CartPole(), log, slice(2, 4))),
@@ -292,7 +295,7 @@ def estimates(
 
 
 PAPERS_N = 80_000
-MISTAKEN = (7.5, 12.5, 15.0)
+OTHER_GRAVITIES = (7.5, 12.5, 15.0)
 TRUTHS = {
     "compiled": ("target", PAPER_NOISE),
     "gymnasium": ("target without noise", 0.0),
@@ -359,9 +362,9 @@ def published_error(gravity: float, estimator: str) -> float:
     setting = f"gravity={gravity}"
     name = PAPERS_NAMES.get(estimator.partition(",")[0])
     right = published("cartpole", setting, "true_value")
-    if estimator == "simulator" and gravity != SIMULATED:
+    if estimator == "simulator" and gravity != SIMULATOR_GRAVITY:
         return distance_between(
-            published("cartpole", f"gravity={SIMULATED}", "true_value"), right
+            published("cartpole", f"gravity={SIMULATOR_GRAVITY}", "true_value"), right
         )
     return (
         float("nan")
@@ -417,7 +420,9 @@ def finding_2(table: pd.DataFrame) -> str:
     """Write the errors on gravities other than the simulator's, at the largest n."""
     n = table.n.max()
     own = table[
-        (table.target == "compiled") & (table.n == n) & (table.gravity != SIMULATED)
+        (table.target == "compiled")
+        & (table.n == n)
+        & (table.gravity != SIMULATOR_GRAVITY)
     ]
     names = [
         RESIDUAL,
@@ -479,7 +484,9 @@ def fig2(settings: Cell, stream: Stream) -> list[Row]:
     log = target_log(kind, gravity, int(settings["n"]), stream.generator())
     case, noise = TRUTHS[kind]
     values, found = estimates(log, gravity, noise=noise)
-    values[RESIDUAL] = fine_values(ResidualSimulator(CartPole(SIMULATED), log, seed=0))
+    values[RESIDUAL] = fine_values(
+        ResidualSimulator(CartPole(SIMULATOR_GRAVITY), log, seed=0)
+    )
     return rows_of(values, case, gravity, found)
 
 
@@ -521,7 +528,7 @@ def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> 
     axes={
         "states": tuple(STATES),
         "n": (0, 3162, 10_000, 31_623, PAPERS_N),
-        "gravity": MISTAKEN,
+        "gravity": OTHER_GRAVITIES,
     },
     smoke={
         "states": ("20 x 20", "32 x 32", "whole state, 1000 cells"),
@@ -561,7 +568,7 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
         uncovered = found.uncovered
     else:
         model = discretize(
-            CartPole(SIMULATED, form=form),
+            CartPole(SIMULATOR_GRAVITY, form=form),
             cells=cells,
             policies=VISITING,
             closure_episodes=0,
@@ -572,7 +579,7 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
         raw, mended = calibrate("", target.mdp, model.mdp, policies_of(model)).values()
         values = {"target on these states": raw, "the same, calibrated": mended}
         uncovered = 0.0
-    values = {"simulator": true_values("simulator", SIMULATED)} | values
+    values = {"simulator": true_values("simulator", SIMULATOR_GRAVITY)} | values
     cost: Row = {
         "number_of_states": model.mdp.n_states,
         "entries": int(model.mdp.transitions.nnz),
@@ -589,7 +596,7 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
     repetitions=5,
     axes={
         "behavior": (0.0, BEHAVIOR, 0.6, 1.0),
-        "gravity": MISTAKEN,
+        "gravity": OTHER_GRAVITIES,
         "n": (10_000, PAPERS_N),
     },
     smoke={"behavior": (0.0, 1.0), "gravity": (15.0,), "n": (10_000,)},
@@ -637,7 +644,7 @@ def cartpole_data(settings: Cell, stream: Stream) -> list[Row]:
     axes={
         "vertices": (24, 32, 60),
         "strength": (0.01, 0.1, 0.3, 1.0),
-        "gravity": MISTAKEN,
+        "gravity": OTHER_GRAVITIES,
         "n": (10_000, PAPERS_N),
     },
     smoke={

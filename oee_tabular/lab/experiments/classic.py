@@ -111,7 +111,7 @@ class Pendulum(Plain):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Draw any angle and a slow speed."""
-        return rng.uniform(-1.0, 1.0, (n, 2)) * [np.pi, 1.0]
+        return np.asarray(rng.uniform(-1.0, 1.0, (n, 2)) * np.array([np.pi, 1.0]))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from oee_tabular.typing import Array
 
 # rewards of a value, steps of a recorded episode
 HORIZON = 200
-LONGEST = 1000
+MAX_EPISODE_STEPS = 1000
 HALF_DECADES = tuple(round(10**e) for e in (3, 3.5, 4, 4.5, 5, 5.5))
 DELTAS = (0.1, 0.5, 0.9)
 DATA = {"uniform": 0.0, "pi_0.5": 0.5}  # delta of the policies that record
@@ -89,18 +89,15 @@ def sample_pool(
 
     A pilot of 20 episodes says how many are needed.
     """
-    pilot = oee.sample_episodes(target, behavior, 20, LONGEST, seed=generator)
+    pilot = oee.sample_episodes(target, behavior, 20, MAX_EPISODE_STEPS, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
-    while (
-        len(
-            pool := oee.sample_episodes(
-                target, behavior, needed, LONGEST, seed=generator
-            )
+    while True:
+        pool = oee.sample_episodes(
+            target, behavior, needed, MAX_EPISODE_STEPS, seed=generator
         )
-        < n
-    ):
+        if len(pool) >= n:
+            return pool
         needed *= 2  # not episodes_holding's rule: the saved tables are of these draws
-    return pool
 
 
 def sample_log(
@@ -172,11 +169,9 @@ def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
     It is nan where they have no points in common.
     """
     both = first.merge(second, on="x")
-    return (
-        float((both["mean_x"] - both["mean_y"]).abs().mean())
-        if len(both)
-        else float("nan")
-    )
+    if both.empty:
+        return float("nan")
+    return float((both["mean_x"] - both["mean_y"]).abs().mean())
 
 
 def mark_paper(

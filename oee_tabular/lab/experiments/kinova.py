@@ -51,7 +51,7 @@ TARGETS: dict[str, dict[str, float]] = {
 POLICIES = (0.0, 0.3)  # delta: the controller itself, and with 30 % of random commands
 # runs to each goal: recorded, and for a value without noise
 N_RUNS = 10
-CONVERGED = 50
+N_VALUE_RUNS = 50
 RUNS = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)  # the shape of a log
 DISCOUNTS = 0.99 ** np.arange(kinova.HORIZON)
 # of the defensive simulator, and of the ties (moves for each command)
@@ -115,16 +115,17 @@ def simulate_values(task: Any, delta: float) -> Array:
     policies = [kinova.kinova_policy(g, delta) for g in goals]
     found = [
         monte_carlo_value(
-            towards(task, g), policies[g], CONVERGED, horizon, seed=[9, g]
+            towards(task, g), policies[g], N_VALUE_RUNS, horizon, seed=[9, g]
         )
         for g in goals
     ]
     return np.array([each.value for each in found])
 
 
-known_values = functools.cache(
-    lambda target, delta: simulate_values(arm_of(target), delta)
-)
+@functools.cache
+def known_values(target: str, delta: float) -> Array:
+    """Simulate the values of the goals (5,) in an arm, once a process."""
+    return simulate_values(arm_of(target), delta)
 
 
 def towards(task: Any, goal: int) -> Any:
@@ -233,12 +234,10 @@ def published_value(row: Row) -> float:
     It is that of the robot, not of the stand-in, and stands beside the reference
     mismatch.
     """
-    is_published = (
-        row["estimator"] in PUBLISHED
-        and row["policy"] == 0.0
-        and row["target"] == REFERENCE
-    )
-    return paper_value(row["estimator"]) if is_published else np.nan
+    is_reference = row["policy"] == 0.0 and row["target"] == REFERENCE
+    if is_reference and row["estimator"] in PUBLISHED:
+        return paper_value(row["estimator"])
+    return np.nan
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
@@ -299,11 +298,8 @@ def finding(table: pd.DataFrame) -> str:
 def paper_value(name: str) -> float:
     """Return the paper's number for one of its three rows."""
     table = published_table()
-    return float(
-        table[(table.figure == "kinova") & (table.series == PUBLISHED[name])][
-            "mean"
-        ].iloc[0]
-    )
+    own = table[(table.figure == "kinova") & (table.series == PUBLISHED[name])]
+    return float(own["mean"].iloc[0])
 
 
 @experiment(

@@ -37,17 +37,17 @@ from oee_tabular.typing import Array
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)
 # m, rewards of a value
-SIMULATED = 0.1
+SIMULATOR_LENGTH = 0.1
 HORIZON = 100
 TRUTH_EPISODES = 4096
 MODEL_EPISODES = 2048
 STRENGTH = 0.1  # what the simulator's row is worth, in moves
-DEFENSIVE = 0.1  # the averaged lengths' share of the defensive simulator
+DEFENSIVE_SHARE = 0.1  # the averaged lengths' share of the defensive simulator
 N_PAPER = 150_000
 # m, of the randomised simulator: the paper's targets are among them
 LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)
 # with those that replace the target's where it is left out
-WIDER = (SIMULATED, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)
+WIDER = (SIMULATOR_LENGTH, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)
 CELLS = VisitedCells(3000)
 VISITING = tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9))
 WEIGHTED = "OEE"
@@ -120,7 +120,7 @@ def estimates(
     """
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
     below = values_of(model.plain, policies)
-    above = truth(SIMULATED, length)
+    above = truth(SIMULATOR_LENGTH, length)
     found: dict[str, Array] = {}
     facts: dict[str, Row] = {
         SIMULATOR: {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}
@@ -135,12 +135,13 @@ def estimates(
         weights = fit_among(model, allowed, lengths)
         mixtures = {
             averaged: average,
-            weighted: (1.0 - DEFENSIVE) * weights + DEFENSIVE * average,
+            weighted: (1.0 - DEFENSIVE_SHARE) * weights + DEFENSIVE_SHARE * average,
         }
         if is_known:
-            mixtures[PLAIN] = (1.0 - DEFENSIVE) * np.eye(len(WIDER))[
-                0
-            ] + DEFENSIVE * average
+            first = np.eye(len(WIDER))[0]
+            mixtures[PLAIN] = (
+                1.0 - DEFENSIVE_SHARE
+            ) * first + DEFENSIVE_SHARE * average
             found[AVERAGE] = values_of(model.mixture(average).mdp, policies)
         for name, shares in mixtures.items():
             simulator = model.mixture(shares).mdp
@@ -154,12 +155,10 @@ def estimates(
                 "largest_zeta": largest,
                 "d_inf": float(np.log(largest)),
             }
-            facts[name] |= {"visited": float(zeta.visited.mean())}
-            facts[name] |= (
-                {"weight_of_true_length": float(weights[WIDER.index(length)])}
-                if is_known
-                else {}
-            )
+            facts[name]["visited"] = float(zeta.visited.mean())
+            if is_known:
+                own = float(weights[WIDER.index(length)])
+                facts[name]["weight_of_true_length"] = own
     found[MODEL] = values_of(
         model.with_transitions(frequencies(counts, model.plain.n_actions)), policies
     )
@@ -170,7 +169,7 @@ def estimates(
     }
     found[ORACLE] = values_of(model.simulators[WIDER.index(length)], policies)
     found[SIMULATOR] = above
-    found[OWN_REWARD] = truth(SIMULATED, SIMULATED)
+    found[OWN_REWARD] = truth(SIMULATOR_LENGTH, SIMULATOR_LENGTH)
     return found, facts
 
 
@@ -191,7 +190,7 @@ def fit_among(
 
 def setting_of(length: Any) -> str:
     """Return the paper's name of links of this length."""
-    return f"link_length_ratio={float(length) / SIMULATED}"
+    return f"link_length_ratio={float(length) / SIMULATOR_LENGTH}"
 
 
 def published_error(row: Row) -> float:
@@ -279,7 +278,7 @@ def fig3(settings: Cell, stream: Stream) -> list[Row]:
     log = reacher_log(target, n, seed=stream.generator())
     others = [Reacher(other, length) for other in WIDER[1:]]
     model = discretize(
-        Reacher(SIMULATED, length),
+        Reacher(SIMULATOR_LENGTH, length),
         log,
         cells=CELLS,
         others=others,
@@ -292,7 +291,9 @@ def fig3(settings: Cell, stream: Stream) -> list[Row]:
         counts = model.counts(log, outside="nearest")
     found, facts = estimates(model, counts, length)
     found[RESIDUAL] = monte_carlo_values(
-        ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4
+        ResidualSimulator(Even(SIMULATOR_LENGTH, length), log, seed=0),
+        MODEL_EPISODES,
+        4,
     )
     found[LINEAR] = monte_carlo_values(LinearGaussian(target, log), MODEL_EPISODES, 4)
     right = truth(length, length)

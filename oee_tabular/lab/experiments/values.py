@@ -428,11 +428,9 @@ def record(
 
     def fail(action: Any) -> Any:  # the log keeps the action that was chosen
         """Replace some actions by random ones; the log keeps what was chosen."""
-        return (
-            int(generator.integers(actions.n))
-            if generator.random() < faults
-            else action
-        )
+        if generator.random() < faults:
+            return int(generator.integers(actions.n))
+        return action
 
     stepped = TransformAction(environment, fail, actions) if faults else environment
     log = oee.record_episodes(stepped, behavior, n_transitions=n, seed=generator)

@@ -61,13 +61,10 @@ def error_of_paper(row: Any) -> float:
 
     Their data are the uniform policy's.
     """
-    is_published = row.get("data", "uniform") == "uniform"
+    if row.get("data", "uniform") != "uniform":
+        return np.nan
     grid = f"grid={row.get('grid', 10)}"
-    return (
-        common.published_at("fig1a", grid, "mean_absolute_error_of_zeta", row["n"])
-        if is_published
-        else np.nan
-    )
+    return common.published_at("fig1a", grid, "mean_absolute_error_of_zeta", row["n"])
 
 
 def draw_published(ax: Any, rows: pd.DataFrame) -> None:
@@ -170,7 +167,7 @@ def population() -> tuple[Pair, Pair]:
         share = oee.occupancy(
             mdp.with_discount(1.0),
             oee.uniform_policy(mdp),
-            horizon=common.LONGEST,
+            horizon=common.MAX_EPISODE_STEPS,
             of="transition",
         )
         live = np.repeat(~mdp.absorbing(), mdp.n_actions)
