@@ -465,10 +465,10 @@ POLICIES = {
     "Pendulum, mass, gravity": 0.5,
 }
 N = 20_000  # moves of a log
-EPISODES = 1000
-N_REFITS = 10
-N_REFIT_EPISODES = 200
-TRUTH_EPISODES = 400_000  # episodes
+EPISODES = 1000  # of the value
+REFITS = 10
+PATHS = 200  # episodes of a refit
+TRUTH = 400_000  # episodes
 
 
 @functools.lru_cache(maxsize=8)
@@ -477,7 +477,7 @@ def truth(name: str) -> MonteCarlo:
     case = CASES[name]
     policy = case.acting(POLICIES[name])
     return monte_carlo_value(
-        case.target, policy, TRUTH_EPISODES, case.horizon, discount=DISCOUNT, seed=12
+        case.target, policy, TRUTH, case.horizon, discount=DISCOUNT, seed=12
     )
 
 
@@ -500,7 +500,7 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
         most = float(max(np.hypot(part.error_of_log, part.noise).max(), 1e-12))
         ax.plot(
             [0.0, most],
-            [0.0, most * float(stats.t.ppf(0.975, N_REFITS - 1))],
+            [0.0, most * float(stats.t.ppf(0.975, REFITS - 1))],
             "k:",
             lw=1,
         )
@@ -551,8 +551,8 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
         EPISODES,
         case.horizon,
         discount=DISCOUNT,
-        refits=N_REFITS,
-        paths=N_REFIT_EPISODES,
+        refits=REFITS,
+        paths=PATHS,
         seed=seed,
     )
     # none where the log seems to show hidden state: not covered
@@ -561,7 +561,7 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     error = float(apart.mean())
     noise = float(apart.std() / np.sqrt(apart.size))
     of_log = float(found.diagnostics.get("standard_error_of_the_log", np.nan))
-    margin = float(stats.t.ppf(0.975, N_REFITS - 1))
+    margin = float(stats.t.ppf(0.975, REFITS - 1))
     known = truth(name)
     return [
         {
