@@ -439,7 +439,10 @@ def run_and_write(
     write: Callable[[Store], object],
     *,
     say: Callable[[str], object],
-    **options: Any,
+    jobs: int = 1,
+    dask: str | None = None,
+    fresh: bool = False,
+    progress: bool = False,
 ) -> None:
     """Compute the cells of a folder that is this command's alone, and write its files.
 
@@ -447,7 +450,9 @@ def run_and_write(
     """
     start = time.perf_counter()
     with alone(folder):
-        store = run_experiment(folder, settings, **options)
+        store = run_experiment(
+            folder, settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress
+        )
         write(store)
     say(f"{store} ({time.perf_counter() - start:.0f} s)")
 

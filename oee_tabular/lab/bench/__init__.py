@@ -574,7 +574,9 @@ def bench(
     timeout: float,
     output: Path,
     say: Callable[[str], None],
-    **options: Any,
+    jobs: int = 1,
+    dask: str | None = None,
+    fresh: bool = False,
 ) -> None:
     """Do one run of ``oee bench`` and write its files.
 
@@ -627,7 +629,14 @@ def bench(
         say(f"{league}\n")
 
     run_and_write(
-        output, settings, write, say=say, progress=sys.stderr.isatty(), **options
+        output,
+        settings,
+        write,
+        say=say,
+        jobs=jobs,
+        dask=dask,
+        fresh=fresh,
+        progress=sys.stderr.isatty(),
     )
     own = families_at(None, seed)
     if families is None and isinstance(own, Families):

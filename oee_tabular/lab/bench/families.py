@@ -28,6 +28,7 @@ from oee_tabular.lab.bench.families_shifts import FAMILIES as SHIFTS
 from oee_tabular.lab.bench.family import (
     Family,
     Maker,
+    PairOptions,
     check_seed,
     normalize,
     pair,
@@ -38,7 +39,7 @@ from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 
 SIMULATOR_SLIP = 0.15  # slip of the floors
 # The policy acts as the expert in half of the steps; uniform actions record the target.
-PAPER: dict[str, Any] = {
+PAPER: PairOptions = {
     "policy": gridworld_policy(10, 0.5),
     "recorded": 0.0,
     "length": 1000,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from oee_tabular.lab.bench.family import (
     Family,
     Maker,
     Moves,
+    PairOptions,
     binomial,
     cross,
     poisson,
@@ -52,7 +53,7 @@ def inventory(
     about: str,
     n_states: int = 20,
     step: int = 3,
-    **options: Any,
+    **options: Unpack[PairOptions],
 ) -> Maker:
     """Return a maker of a stock with Poisson demand.
 
@@ -78,7 +79,7 @@ def inventory(
     )
 
 
-def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
+def queue(real: tuple[float, ...], about: str, *, recorded: float = 0.5) -> Maker:
     """Return a maker of a queue of at most 25 jobs.
 
     ``real`` has the target's probabilities of an arrival, of slow service and of fast
@@ -93,7 +94,9 @@ def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
         yield arrival * done + (1 - arrival) * (1 - done), jobs
 
     cost = -0.1 * np.arange(25.0)[:, None] - 0.4 * np.arange(2.0)
-    return shift(about, (25, 2), cost, 0.98, LINE, real, moves, length=50, **options)
+    return shift(
+        about, (25, 2), cost, 0.98, LINE, real, moves, length=50, recorded=recorded
+    )
 
 
 def tandem(size: int = 45) -> Family:

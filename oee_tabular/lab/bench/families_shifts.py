@@ -183,6 +183,7 @@ def find_law_of_mean_5(
     """Find the distribution of claims with mean 5 in a family of weights."""
 
     def excess(parameter: float) -> float:
+        """Return by how much the mean is above 5."""
         return float(normalize(weights(parameter)) @ CLAIMS - 5)
 
     return normalize(weights(optimize.brentq(excess, low, high)))

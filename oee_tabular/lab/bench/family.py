@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from scipy import sparse, special, stats
@@ -294,6 +294,16 @@ Moves = Iterable[tuple[Any, Any]]  # (probability, next state)
 Maker = Callable[..., Family]  # of a generator, or without parameters
 
 
+class PairOptions(TypedDict, total=False):
+    """Keywords of ``pair`` that makers of families pass on."""
+
+    optimal: float
+    recorded: float
+    length: int
+    policy: Array | None
+    horizon: int | None
+
+
 def pair(
     about: str,
     simulator: FiniteMDP,
@@ -353,7 +363,7 @@ def shift(
     *,
     start: Any = slice(None),
     ends: Collection[int] = (),
-    **options: Any,
+    **options: Unpack[PairOptions],
 ) -> Maker:
     """Return a maker of a family of two models that differ in some parameters.
 

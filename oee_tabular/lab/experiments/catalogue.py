@@ -7,7 +7,6 @@ import itertools
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.exceptions import ArgumentError
@@ -106,13 +105,15 @@ def reproduce(
     seed: int,
     output: Path,
     say: Callable[[str], None],
-    **options: Any,
+    jobs: int = 1,
+    dask: str | None = None,
+    fresh: bool = False,
 ) -> None:
     """Run the experiments one after the other; the folder's index is written last.
 
     An experiment whose extra is not installed is left out with a sentence, and an error
     where nothing else was asked for. Folders with other settings are refused before
-    anything runs. ``options``: jobs, dask, fresh, as in ``run_experiment``.
+    anything runs. ``jobs``, ``dask`` and ``fresh`` are as in ``run_experiment``.
     """
     if seeds is not None and seeds < 1:
         raise ArgumentError("--seeds", f"must be at least 1; got {seeds}")
@@ -128,22 +129,29 @@ def reproduce(
     if missing and not chosen:
         raise missing[0]
     folder = output / "smoke" if smoke else output
-    refuse_links(
-        output,
-        ["smoke", *(f"smoke/{e.id}" if smoke else e.id for e in chosen)],
-        are_folders=True,
-    )
+    prefix = "smoke/" if smoke else ""
+    folders = ["smoke", *(f"{prefix}{own.id}" for own in chosen)]
+    refuse_links(output, folders, are_folders=True)
     every = [
         experiment.settings(smoke=smoke, repetitions=seeds, seed=seed)
         for experiment in chosen
     ]
-    if not options["fresh"]:
+    if not fresh:
         for settings in every:
             Store(folder / settings.experiment.id, settings)
     for settings in every:
         target = folder / settings.experiment.id
         progress = sys.stderr.isatty()
-        run_and_write(target, settings, save, say=say, progress=progress, **options)
+        run_and_write(
+            target,
+            settings,
+            save,
+            say=say,
+            jobs=jobs,
+            dask=dask,
+            fresh=fresh,
+            progress=progress,
+        )
     say(f"Index: {write_index(folder)}")
     for reason in missing:
         say(f"Left out: {reason}")
