@@ -69,7 +69,8 @@ FILES = (
     "heat.png",
 )
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # a flag that Windows lacks
-# of damaged text, of lists a thousand deep, and of what is not what it should be
+# Errors that reading a damaged file raises: damaged text, lists a thousand deep, and
+# values of other types.
 DAMAGE = (
     ValueError,
     RecursionError,
@@ -429,7 +430,7 @@ def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
 # ---- the runner
 
 MAX_ATTEMPTS = 3  # of a cell whose worker died
-# of a worker, in loky and dask
+# names of the errors by which loky and dask report a dead worker
 DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 
 
@@ -482,8 +483,8 @@ def run_experiment(
         if cluster is not None:
             _check_workers(cluster)
         elif settings.modules:
-            # workers of an earlier run may stand in another folder, with modules of the
-            # same names
+            # Workers of an earlier run may stand in another folder, with modules of the
+            # same names.
             joblib.externals.loky.get_reusable_executor().shutdown(wait=True)
         store = Store(folder, settings, fresh=fresh)
         store.open()

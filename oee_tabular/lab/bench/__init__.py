@@ -58,7 +58,7 @@ __all__ = [
     "tandem",
 ]
 
-# one estimator: a name, or a callable as in ``oee.testing``
+# An estimator is given by name, or as a callable as in ``oee.testing``.
 EstimatorLike: TypeAlias = str | Callable[..., Any]
 EstimatorsLike: TypeAlias = (
     EstimatorLike | Sequence[EstimatorLike] | Mapping[str, EstimatorLike]
@@ -230,7 +230,7 @@ def plan(
     elif isinstance(source, str):
         label = source
     asked: dict[str, Any] = {"estimators": list(chosen), "families": label}
-    # Folders of earlier versions have no timeout in their settings.
+    # The default timeout is not among the settings.
     if limit != TIMEOUT_SECONDS:
         asked["timeout"] = limit
     return RunSettings(

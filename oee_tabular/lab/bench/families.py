@@ -120,7 +120,7 @@ def icu_sepsis() -> Family:
         moves = table["tx_mat"]
         start = table["d_0"]
         chosen = table["expert_policy"]
-    # 713 states of patients; then death, survival, and what follows
+    # 713 states are patients'; then come death, survival, and what follows.
     n_states = len(start)
     ends = slice(713, None)
     chosen = chosen.reshape(n_states, 5, 5)
@@ -281,7 +281,7 @@ FLOORS: dict[str, Maker] = {
         "A wind blows along one direction, in a fifth of the steps; the simulator has"
         " none.",
         floor(),
-        # a row up, whatever it does
+        # The wind moves it a row up, whatever it does.
         0.8 * floor().transitions
         + 0.2 * floor().transitions[np.arange(64 * 4) // 4 * 4 + 1],
     ),
@@ -332,7 +332,7 @@ TOY_TEXT: dict[str, Maker] = {
             for rate in (1 / 3, 0.6)
         ),
     ),
-    # a taxi in the rain goes where it is sent with probability .8 simulated, .6 real
+    # A taxi in the rain goes where it is sent with probability .8 simulated, .6 real
     "taxi_rain": lambda: pair(
         "It rains harder than simulated: the taxi misses more turns.",
         *(
@@ -341,7 +341,7 @@ TOY_TEXT: dict[str, Maker] = {
         ),
         recorded=0.9,
     ),
-    # one action in ten is replaced by a random one in the simulator, three in ten in
+    # One action in ten is replaced by a random one in the simulator, three in ten in
     # the target
     "cliff_walking": lambda: pair(
         "The edge of the cliff is more slippery than simulated.",

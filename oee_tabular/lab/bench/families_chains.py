@@ -26,7 +26,7 @@ SUSCEPTIBLE, INFECTED = np.array(
     [(s, i) for s in range(PEOPLE + 1) for i in range(PEOPLE + 1 - s)]
 ).T
 PATIENTS = 6
-# counts of cured and failed with one arm, and with the other
+# Counts of cured and failed patients with one arm, and with the other.
 TRIALS = np.array(
     [
         counts
@@ -37,7 +37,7 @@ TRIALS = np.array(
 NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)
 NUMBER_OF_TRIAL[tuple(TRIALS.T)] = np.arange(len(TRIALS))
 CURES = TRIALS[:, 0] + TRIALS[:, 2]
-# of the search for a place: states 2 * distance + (whether it is free), and 30, the end
+# States of the search for a place: 2 * distance + (whether it is free), and 30, the end.
 PLACES = np.arange(31)[:, None]
 PARKS = PLACES % 2 * np.array([0, 1])
 PARKING_REWARDS = np.where(PARKS, -0.2 - 0.5 * (PLACES // 2), -0.3)
@@ -204,8 +204,8 @@ FIRST: dict[str, Maker] = {
         machine,
         recorded=0.9,
     ),
-    # age 0 to 11; wait or cut; a fire takes it back to 0; a cut pays the age's wood,
-    # the oldest forest 1 a year
+    # Ages are 0 to 11, actions wait and cut. A fire takes the forest back to 0. A cut has
+    # the reward of the age's wood, the oldest forest 1 a year.
     "forest12": shift(
         "Fires are twice as frequent as simulated.",
         (12, 2),
@@ -216,8 +216,8 @@ FIRST: dict[str, Maker] = {
         lambda age, cut, fire: [(1 - fire, np.where(cut, 0, age + 1)), (fire, 0)],
         length=40,
     ),
-    # nine places; swimming up works with some probability, the current takes back;
-    # little pay below, much above
+    # There are nine places. Swimming up works with some probability, and the current
+    # takes back. The reward is small below and large above.
     "river_swim": shift(
         "The current is stronger than simulated.",
         (9, 2),
@@ -232,8 +232,8 @@ FIRST: dict[str, Maker] = {
         ],
         length=20,
     ),
-    # 30 places, left or right, an end to the right; a slip goes the other way; every
-    # step costs 1
+    # There are 30 places, left or right, with an end to the right. A slip goes the other
+    # way, and every step costs 1.
     "corridor30": shift(
         "Steps slip more often than simulated.",
         (30, 2),
@@ -306,7 +306,7 @@ def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
         law * np.where(s < PEOPLE, 0.98, 1.0),
         number_of_sick(s - new, i - cured + new),
     )
-    # immunity is lost: all begins again
+    # Immunity may be lost, and all begins again.
     yield 0.02 * (s < PEOPLE), number_of_sick(PEOPLE - 2, 2)
 
 
@@ -382,7 +382,7 @@ def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
     It goes up, down or waits. In the target calls come from the lower floors more often
     than simulated.
     """
-    # call 9: none
+    # Call 9 means that nobody calls.
     at = np.clip(state // 10 + action - 1, 0, 8)
     call = state % 10
     floors = np.arange(9)
@@ -439,8 +439,8 @@ TRADES: dict[str, Maker] = {
         ends=[30],
         recorded=0.0,
     ),
-    # 21 places with absorbing ends, the right one pays 1; two steps' sizes; the drift
-    # is towards the left
+    # There are 21 places with absorbing ends, of which the right one has the reward 1,
+    # and steps of two sizes. The drift is towards the left.
     "random_walk": shift(
         "The walk drifts to the losing side; the simulator has it fair.",
         (21, 2),
@@ -452,8 +452,8 @@ TRADES: dict[str, Maker] = {
         start=range(5, 16),
         ends=[0, 20],
     ),
-    # a ring of 30 places, moves of -1, 0 or 2 with noise of two places; a pay at one
-    # place; noise is wider in one half
+    # The places are a ring of 30, with steps of -1, 0 or 2, noise of two places and a
+    # reward at one place. The noise is wider in one half.
     "sensors": shift(
         "In half of the places the motion is noisier than simulated.",
         (30, 3),

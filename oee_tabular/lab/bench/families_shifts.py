@@ -234,7 +234,7 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
         )
         return from_tables(about, (table, real), rewards, 0.95)
 
-    # Drawn again where the states drawn to be worse matter too little.
+    # They are drawn again where the states drawn to be worse matter too little.
     while miss(family_at(5.0)) > 0.0:
         better = rng.random(40) < 0.5
     return match_value(family_at, 0.0, 5.0)
@@ -517,7 +517,7 @@ FAMILIES: dict[str, Maker] = {
         ),
         predator_prey,
     ),
-    # ten weeks, stock 0 to 15, four prices
+    # The states are ten weeks with a stock of 0 to 15; there are four prices.
     "pricing": shift(
         "More customers come than simulated, and high prices deter more of them.",
         (176, 4),

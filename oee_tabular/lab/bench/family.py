@@ -170,9 +170,10 @@ class Family:
         """
         running = self.target.with_discount(1.0)
         visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
-        # an episode ends on arrival; one that starts there has one step
-        over = self.target.absorbing()
-        visits[over] = self.target.initial[over][:, None] * self.data_policy[over]
+        # An episode ends on arrival in a terminal state; one that starts there has one
+        # step.
+        ends = self.target.absorbing()
+        visits[ends] = self.target.initial[ends][:, None] * self.data_policy[ends]
         return np.asarray(visits)
 
     @cached_property

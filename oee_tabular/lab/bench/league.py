@@ -37,7 +37,7 @@ from oee_tabular.typing import Array, BoolArray, RealArrayLike
 # The references, which are always measured.
 LIKELIHOOD = "maximum-likelihood"
 SIMULATOR = "simulator"
-# a ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff)
+# A ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff).
 LEAST = 0.5
 ERRORS = np.array(
     [
@@ -86,7 +86,7 @@ FLOOR_RATIOS = np.array(
     ]
 )
 N_RESAMPLES = 2000  # of the seeds
-# a ratio is surely above SURE_RATIO where this quantile of its bootstrap is
+# A ratio is surely above SURE_RATIO where this quantile of its bootstrap is.
 SURE_QUANTILE = 0.05
 SURE_RATIO = 1.1
 # Intervals count on logs of at least so many transitions per stochastic pair that cover

@@ -48,7 +48,7 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
     [1000, 3162, 10000, 31623, 100000, 316228]
     """
     file = Path(__file__)
-    # of a wheel, of a clone
+    # A wheel has the tables beside this file, a clone in its notebooks.
     folders = file.parent / "saved", file.parents[3] / "notebooks" / "results"
     paths = [folder / name / f"{table}.csv" for folder in folders]
     for path in paths:
@@ -103,7 +103,7 @@ def table(
             raise ArgumentError(
                 "axes", f"must be among {', '.join(chosen)}; got {axis!r}"
             )
-        # 1000.0 is the same cell as 1000
+        # 1000.0 is the same cell as 1000, whose stream is named by the axis's own value.
         own = {value: value for value in chosen[axis]}
         chosen[axis] = tuple(
             own.get(x, x) for x in np.atleast_1d(np.asarray(given)).tolist()

@@ -210,7 +210,7 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
     """
     episode = log.columns()["episode"]
     is_cut = log.truncated & (log.columns()["timestep"] < HORIZON - 1)
-    # the last is cut where the log ends
+    # The last episode is cut where the log ends.
     whole = log.first(len(log) - int(np.isin(episode, episode[is_cut]).sum()))
     estimator = ImportanceSampling(kind="per_decision", self_normalized=self_normalized)
     weigh = sampling_rows(

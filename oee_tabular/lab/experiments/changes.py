@@ -240,7 +240,7 @@ CASES: dict[str, Change] = {
     "CartPole, friction": _cartpole(joint=2e-4, cart=0.05),
     "CartPole, wind": _cartpole(push=0.5),
     "CartPole, unchanged": _cartpole(),
-    # other noise is not the truth's: more of it is left
+    # Other noise differs from the truth's, so more of it is left in a difference.
     "CartPole, noise 0.03": _cartpole(10_000, gusts=0.03),
     "CartPole, all at once": _cartpole(
         10_000, gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03
@@ -283,7 +283,7 @@ HISTORY = "residual, last action"
 LINEAR = "linear model"
 CALIBRATED = "calibrated"
 GRID = "grid"
-# of the rows on a grid
+# of the estimates on a grid
 FLOOR = 1e-3
 STRENGTH = 0.01
 GRID_SEEDS = 1  # logs of a case that have the rows on a grid, the dearest
@@ -337,7 +337,7 @@ def _grid_returns(
 
     They are raw, and calibrated by the simulator's ratio.
     """
-    # states outside, transitions without support: left out here
+    # States outside and transitions without support are left out here.
     with warnings.catch_warnings(action="ignore"):
         model = discretize(
             case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0
@@ -555,7 +555,7 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
         paths=PATHS,
         seed=seed,
     )
-    # none where the log seems to show hidden state: not covered
+    # There is no interval where the log seems to show hidden state: it does not cover.
     low, high = found.interval or (np.nan, np.nan)
     apart = case.returns(corrected, POLICIES[name]) - there
     error = float(apart.mean())

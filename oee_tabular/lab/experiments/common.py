@@ -22,15 +22,13 @@ from oee_tabular.lab.experiment import Panels
 from oee_tabular.tasks import gridworld, gridworld_policy
 from oee_tabular.typing import Array
 
-# rewards of a value, steps of a recorded episode
-HORIZON = 200
-MAX_EPISODE_STEPS = 1000
+HORIZON = 200  # rewards of a value
+MAX_EPISODE_STEPS = 1000  # of a recorded episode
 HALF_DECADES = tuple(round(10**e) for e in (3, 3.5, 4, 4.5, 5, 5.5))
 DELTAS = (0.1, 0.5, 0.9)
 DATA = {"uniform": 0.0, "pi_0.5": 0.5}  # delta of the policies that record
-# 1 - discount, of ``grids`` and of ``small_grids``
-SCALE = 0.01
-SMALL_SCALE = 0.05
+SCALE = 0.01  # 1 - discount of ``grids``
+SMALL_SCALE = 0.05  # 1 - discount of ``small_grids``
 MEAN_ERROR = "mean |error| of (1 - discount) J"
 
 
@@ -137,7 +135,7 @@ def rmse(errors: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-# against n
+# Figures of errors have logarithmic axes and a line of slope -1/2 against n.
 ErrorPanels = functools.partial(Panels, log=True, slope=-0.5, axes={"xscale": "log"})
 RmsePanels = functools.partial(
     ErrorPanels, "error", how=rmse, ylabel="RMSE of (1 - discount) J"

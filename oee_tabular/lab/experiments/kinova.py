@@ -49,14 +49,12 @@ TARGETS: dict[str, dict[str, float]] = {
     },
 }
 POLICIES = (0.0, 0.3)  # delta: the controller itself, and with 30 % of random commands
-# runs to each goal: recorded, and for a value without noise
-N_RUNS = 10
-N_VALUE_RUNS = 50
+N_RUNS = 10  # recorded runs to each goal
+N_VALUE_RUNS = 50  # runs to each goal of a Monte Carlo value
 RUNS = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)  # the shape of a log
 DISCOUNTS = 0.99 ** np.arange(kinova.HORIZON)
-# of the defensive simulator, and of the ties (moves for each command)
-EPSILON = 0.1
-STRENGTH = 3.0
+EPSILON = 0.1  # floor of the defensive simulator, as of ``discretize``
+STRENGTH = 3.0  # of the ties, in transitions for each command
 TRUE = "true value, 50 runs"
 OEE = "OEE, tied, exact"
 SIMULATOR = "simulator, 50 runs"

@@ -36,17 +36,16 @@ from oee_tabular.ratio import transition_ratio
 from oee_tabular.typing import Array
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)
-# m, rewards of a value
-SIMULATOR_LENGTH = 0.1
-HORIZON = 100
+SIMULATOR_LENGTH = 0.1  # m, of each link
+HORIZON = 100  # rewards of a value
 TRUTH_EPISODES = 4096
 MODEL_EPISODES = 2048
-STRENGTH = 0.1  # what the simulator's row is worth, in moves
+STRENGTH = 0.1  # what the simulator's row is worth, in transitions
 DEFENSIVE_SHARE = 0.1  # the averaged lengths' share of the defensive simulator
 N_PAPER = 150_000
-# m, of the randomised simulator: the paper's targets are among them
+# Lengths of the randomised simulator in m; the paper's targets are among them.
 LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)
-# with those that replace the target's where it is left out
+# Lengths 0.04 and 0.28 are added where the target's length is left out.
 WIDER = (SIMULATOR_LENGTH, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)
 CELLS = VisitedCells(3000)
 VISITING = tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9))
@@ -286,7 +285,7 @@ def fig3(settings: Cell, stream: Stream) -> list[Row]:
         closure_episodes=0,
         seed=stream.sequence(use="cells"),
     )
-    # next states far from every cell go to the nearest
+    # Next states far from every cell go to the nearest one.
     with warnings.catch_warnings(action="ignore"):
         counts = model.counts(log, outside="nearest")
     found, facts = estimates(model, counts, length)

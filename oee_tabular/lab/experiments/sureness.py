@@ -111,7 +111,7 @@ def efficiency(settings: Cell, stream: Stream) -> list[Row]:
     share = np.full((25, 4), 0.01)
     assert simulator.transition_rewards is not None
     tables = (target.transitions, simulator.transitions, simulator.transition_rewards)
-    # r(s, a, s') is known
+    # The rewards r(s, a, s') are known.
     p, q, reward = (table.toarray().reshape(25, 4, 25) for table in tables)
     generator = stream.generator()
     ours, theirs = (

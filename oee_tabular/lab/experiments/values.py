@@ -55,7 +55,7 @@ ESTIMATORS = {  # curves, and their names in ``oee evaluate``
     "marginalised": "marginalized",
     "WIS, per decision": "wpdis",
 }
-# ratios of dynamics, and of policies
+# estimators that use ratios of dynamics, and those that use ratios of policies
 BY_MODEL = [*ESTIMATORS][:6]
 BY_POLICY = [*ESTIMATORS][6:11]
 
@@ -452,7 +452,7 @@ def compute_values(settings: Cell, stream: Stream) -> list[Row]:
         oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.5
     )
     log = record(case, behavior, settings["n"], stream.generator())
-    # the same transition pays -1 or -100 on the cliff
+    # On the cliff the same transition has the reward -1 or -100, by the action.
     rewards: Any = "log" if case == "slippery cliff" else "simulator"
     problem = oee.Problem(simulator, log, behavior_policy=behavior, rewards=rewards)
     truths = np.array(
