@@ -232,6 +232,9 @@ def evaluate_continuous(
         policies, Mapping, "policies", "mapping from names to policies"
     ):
         raise ArgumentError("policies", "must hold at least one; it is empty")
+    _checks.boolean(normalized, "normalized")
+    _checks.boolean(guaranteed, "guaranteed")
+    _checks.boolean(quick, "quick")
     own_facts = dict(_checks.instance(facts or {}, Mapping, "facts"))
     _checks.instance(
         simulator.task if target is None else target, ContinuousTask, "target"

@@ -503,7 +503,7 @@ class KinovaArm(gen3.HandTask):
             import mujoco
         except ImportError:
             raise ImportError(
-                "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
+                "mujoco is not installed; in a clone: pip install '.[mujoco]'"
             ) from None
         from mujoco import rollout
 

@@ -61,8 +61,21 @@ class OracleComparison:
 
     Examples
     --------
-    >>> found = OracleComparison("mine", 1.0, None, 4.0, 100, "episodes", values=np.array([0.8, 1.0, 1.2, 1.4]))
-    >>> round(found.bias, 4), round(found.variance, 4), round(found.inefficiency, 4)  # 100 * variance / 4
+    >>> found = OracleComparison(
+    ...     "mine",
+    ...     1.0,
+    ...     None,
+    ...     4.0,
+    ...     100,
+    ...     "episodes",
+    ...     values=np.array([0.8, 1.0, 1.2, 1.4]),
+    ... )
+    >>> # 100 * variance / 4
+    >>> (
+    ...     round(found.bias, 4),
+    ...     round(found.variance, 4),
+    ...     round(found.inefficiency, 4),
+    ... )
     (0.1, 0.0667, 1.6667)
     """
 
@@ -231,10 +244,19 @@ def compare_with_oracle(
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> pair = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    >>> pair = (
+    ...     oee.tasks.gridworld(3, 0.3, discount=0.9),
+    ...     oee.tasks.gridworld(3, 0.1, discount=0.9),
+    ... )
     >>> even = np.full((9, 4), 1 / 36)
     >>> found = compare_with_oracle(
-    ...     oee.estimators.ModelBased(), pair, oee.uniform_policy(pair[0]), n=2000, data_distribution=even, repetitions=20)
+    ...     oee.estimators.ModelBased(),
+    ...     pair,
+    ...     oee.uniform_policy(pair[0]),
+    ...     n=2000,
+    ...     data_distribution=even,
+    ...     repetitions=20,
+    ... )
     >>> abs(found.bias) < 4 * found.bias_error + 0.01, 0.3 < found.inefficiency < 2.0
     (True, True)
     """

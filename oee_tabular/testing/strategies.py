@@ -88,7 +88,9 @@ def mdps(
     >>> @settings(max_examples=10)
     ... @given(mdps(max_states=3))
     ... def law(mdp):
-    ...     assert mdp.n_states <= 3 and abs(mdp.transitions.sum(axis=1) - 1).max() < 1e-12
+    ...     assert (
+    ...         mdp.n_states <= 3 and abs(mdp.transitions.sum(axis=1) - 1).max() < 1e-12
+    ...     )
     >>> law()
     """
     low, high = (
@@ -165,6 +167,7 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     )
 
 
+@suggest_keywords
 def mdp_pairs(
     *,
     support: Literal["equal", "inside", "violated"] = "equal",

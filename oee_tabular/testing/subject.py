@@ -137,7 +137,9 @@ class Verdict:
     --------
     >>> from oee_tabular.estimators import Simulator
     >>> from oee_tabular.testing import check_estimator
-    >>> verdict = check_estimator(Simulator(), claims=["consistent"], laws=["consistent"])["consistent"]
+    >>> verdict = check_estimator(
+    ...     Simulator(), claims=["consistent"], laws=["consistent"]
+    ... )["consistent"]
     >>> verdict.outcome, verdict.text
     ('fails', 'ragged (horizon 6, discount 0.9): its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
     """
@@ -169,7 +171,9 @@ class Verdicts(Mapping[str, Verdict]):
     --------
     >>> from oee_tabular.estimators import Simulator
     >>> from oee_tabular.testing import check_estimator
-    >>> verdicts = check_estimator(Simulator(), claims=["consistent", "scale"], laws=["consistent", "scale"])
+    >>> verdicts = check_estimator(
+    ...     Simulator(), claims=["consistent", "scale"], laws=["consistent", "scale"]
+    ... )
     >>> verdicts.passed, verdicts.broken, len(verdicts)
     (False, ('consistent',), 2)
     """

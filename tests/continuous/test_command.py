@@ -682,7 +682,7 @@ def test_reacher_from_the_command_line(run):
 def test_the_arm_from_the_command_line(run):
     """Ties, calibration by the difference, and the stand-in's name."""
     pytest.importorskip(
-        "mujoco", reason="MuJoCo is not installed: pip install 'oee-tabular[mujoco]'"
+        "mujoco", reason="MuJoCo is not installed: pip install '.[mujoco]'"
     )
     run(
         "sample kinova:velocity_scale=1.4 --policy expert --episodes 30 --output"

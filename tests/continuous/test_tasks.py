@@ -353,7 +353,7 @@ def test_the_arm_is_mujoco_s(length, armature, damping, gear):
     with its own 1, 1, 200.
     """
     mujoco = pytest.importorskip(
-        "mujoco", reason="MuJoCo is not installed: pip install oee-tabular[mujoco]"
+        "mujoco", reason="MuJoCo is not installed: pip install '.[mujoco]'"
     )
     import gymnasium
 
@@ -427,7 +427,7 @@ def test_reacher_s_policies():
 
 def needs_mujoco():
     return pytest.importorskip(
-        "mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'"
+        "mujoco", reason="needs the extra: pip install '.[mujoco]'"
     )
 
 
@@ -514,5 +514,5 @@ def test_without_mujoco_everything_imports_and_says_which_extra():
     )
     assert (
         found.stdout.strip()
-        == "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
+        == "mujoco is not installed; in a clone: pip install '.[mujoco]'"
     )

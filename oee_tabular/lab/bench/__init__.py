@@ -27,6 +27,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules, own_object
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import time_limit
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
@@ -76,6 +77,7 @@ REFERENCES: Mapping[str, Estimator] = {
 }
 
 
+@suggest_keywords
 def run(
     estimators: EstimatorsLike = ("oee", "model-based"),
     *,
@@ -155,7 +157,9 @@ def run(
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> found = oee.bench.run("oee", families=["machine", "queue25"], sizes=[3], seeds=4)
+    >>> found = oee.bench.run(
+    ...     "oee", families=["machine", "queue25"], sizes=[3], seeds=4
+    ... )
     >>> found.league["estimator"].tolist(), len(found.table)
     (['maximum-likelihood', 'simulator', 'oee'], 24)
     """

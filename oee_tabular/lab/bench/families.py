@@ -20,6 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import optimal_policy, state_values
 from oee_tabular.exceptions import ArgumentError
@@ -208,6 +209,7 @@ def make_worse(n_states: int = 40) -> Maker:
     return garnet(about, lambda p, row, z, rng: p * np.exp(-0.25 * z), n_states)
 
 
+@suggest_keywords
 def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     """Make a Garnet whose target is a little worse everywhere along V.
 
@@ -404,7 +406,9 @@ class Families(Mapping[str, Family]):
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> mine = Families({"grid": lambda: oee.bench.families()["floor_motor"]}, seed=0, left_out={})
+    >>> mine = Families(
+    ...     {"grid": lambda: oee.bench.families()["floor_motor"]}, seed=0, left_out={}
+    ... )
     >>> list(mine), mine["grid"].about
     (['grid'], 'One of the four motors is weak.')
     """
@@ -485,6 +489,7 @@ def _make_fixed(maker: Maker) -> Family:
     return maker()
 
 
+@suggest_keywords
 def families(seed: int = 0, *, large: bool = False) -> Families:
     """Return the families of environment shift of the benchmark.
 

@@ -7,6 +7,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.lab.bench.family import (
     Family,
     Maker,
@@ -99,6 +100,7 @@ def queue(real: tuple[float, ...], about: str, *, recorded: float = 0.5) -> Make
     )
 
 
+@suggest_keywords
 def tandem(size: int = 45) -> Family:
     """Make two stations in line, where the target has more arrivals and slower service.
 

@@ -323,7 +323,11 @@ class League:
     --------
     >>> import oee_tabular as oee
     >>> found = oee.bench.run("oee", families=["machine"], sizes=[3, 10], seeds=3)
-    >>> sorted(found.cells["size"].unique().tolist()), found.league["families"].tolist(), found.scores()["oee"].shape
+    >>> (
+    ...     sorted(found.cells["size"].unique().tolist()),
+    ...     found.league["families"].tolist(),
+    ...     found.scores()["oee"].shape,
+    ... )
     ([3.0, 10.0], ['tuned', 'tuned', 'tuned'], (3, 2))
     """
 
@@ -669,12 +673,39 @@ def league_of(table: pd.DataFrame) -> League:
 
     Examples
     --------
-    >>> row = {"family": "f", "families": "held", "size": 3.0, "standard_error": 0.2, "lower": 0.0, "upper": 2.0,
-    ...        "seconds": 0.1, "covered": 1.0, "bound": 0.01, "identical": False, "status": "ok", "truth": 1.0}
-    >>> errors = {"maximum-likelihood": (0.2, -0.2), "simulator": (0.4, 0.4), "mine": (0.1, 0.1)}
-    >>> rows = [{**row, "seed": seed, "estimator": name, "value": 1 + pair[seed], "error": pair[seed]}
-    ...         for seed in (0, 1) for name, pair in errors.items()]
-    >>> league_of(pd.DataFrame(rows)).cells[["estimator", "ratio"]].round(3).values.tolist()
+    >>> row = {
+    ...     "family": "f",
+    ...     "families": "held",
+    ...     "size": 3.0,
+    ...     "standard_error": 0.2,
+    ...     "lower": 0.0,
+    ...     "upper": 2.0,
+    ...     "seconds": 0.1,
+    ...     "covered": 1.0,
+    ...     "bound": 0.01,
+    ...     "identical": False,
+    ...     "status": "ok",
+    ...     "truth": 1.0,
+    ... }
+    >>> errors = {
+    ...     "maximum-likelihood": (0.2, -0.2),
+    ...     "simulator": (0.4, 0.4),
+    ...     "mine": (0.1, 0.1),
+    ... }
+    >>> rows = [
+    ...     {
+    ...         **row,
+    ...         "seed": seed,
+    ...         "estimator": name,
+    ...         "value": 1 + pair[seed],
+    ...         "error": pair[seed],
+    ...     }
+    ...     for seed in (0, 1)
+    ...     for name, pair in errors.items()
+    ... ]
+    >>> league_of(pd.DataFrame(rows)).cells[["estimator", "ratio"]].round(
+    ...     3
+    ... ).values.tolist()
     [['maximum-likelihood', 1.0], ['simulator', 2.0], ['mine', 0.5]]
     """
     groups = table.groupby(["family", "size"], sort=False)

@@ -31,7 +31,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -39,6 +39,7 @@ from scipy import sparse
 
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole import PAPER_NOISE, CartPole, cartpole_policy
+from oee_tabular.continuous.cells import Grid
 from oee_tabular.continuous.command import continuous_simulator
 from oee_tabular.continuous.discretization import (
     GridInterpolation,
@@ -240,7 +241,7 @@ def off_environment(
     *,
     cells: Any = (VERTICES, VERTICES),
     strength: float = STRENGTH,
-    form: str = "angle",
+    form: Literal["angle", "full"] = "angle",
 ) -> Corrected:
     """Estimate in the documented configuration.
 
@@ -271,6 +272,7 @@ def estimates(
     """
     found = off_environment(log)
     model = found.simulator
+    assert isinstance(model.cells, Grid)
     policies = policies_of(found.simulator)
     n_actions = found.simulator.task.n_actions
     cells = GridInterpolation(model.cells.shape, vertex_weight=0.0)
@@ -493,7 +495,7 @@ def fig2(settings: Cell, stream: Stream) -> list[Row]:
 # ---- resolution, data quality, configuration
 
 # what is discretised, and on which cells
-STATES: dict[str, tuple[str, Any]] = {
+STATES: dict[str, tuple[Literal["angle", "full"], Any]] = {
     **{f"{k} x {k}": ("angle", (k, k)) for k in (20, 32, 60, 100)},
     **{f"whole state, {k}^4 grid": ("full", (k,) * 4) for k in (10, 18)},
     **{f"whole state, {k} cells": ("full", k) for k in (1000, 5000)},
