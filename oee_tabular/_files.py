@@ -312,7 +312,8 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
             if not all(isinstance(array, np.ndarray) for array in arrays.values()):
                 raise ValueError("a member is no array")
         except Exception as error:
-            # zipfile, zlib, ast and numpy raise many classes on bytes that are not theirs
+            # zipfile, zlib, ast and numpy raise many classes on bytes that are not
+            # theirs
             if isinstance(error, MemoryError) and repr(name) in str(error):
                 raise
             words = _checks.escape_controls(str(error) or type(error).__name__)

@@ -17,7 +17,9 @@ import oee_tabular
 
 ROOT = Path(oee_tabular.__file__).parents[1]
 TESTS = Path(__file__).parent
-FLOORS = 13  # of packages and of files beside them, the command line's first line on top; at most 14 are allowed
+# of packages and of files beside them, the command line's first line on top; at most 14
+# are allowed
+FLOORS = 13
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 

@@ -37,8 +37,8 @@ MIN_STATES_AT_ONCE = 16  # fewer are stepped one by one
 N_RANGE_STEPS = 1000  # by which usual ranges are found
 MAX_DRAWS = 64  # in a step
 MAX_STEP_DIFFERENCE = 0.02  # of a coordinate's usual step, for a step that is repeated
-# A share of steps that are not repeated (contacts, whose solvers remember) up to this is
-# a warning, a larger one an error.
+# A share of steps that are not repeated (contacts, whose solvers remember) up to this
+# is a warning, a larger one an error.
 MAX_DIFFERING_SHARE = 0.05
 
 

@@ -125,7 +125,8 @@ class OffEnvironment(RatioEstimator):
     maximum-likelihood value has a large variance if there are few transitions. If the
     nearer value is more than 2 s away, change is lengthened towards the
     maximum-likelihood value, which it reaches at 4 s, because the linearisation error
-    then exceeds the sampling error. s is the standard error of the difference of the two values, se that of
+    then exceeds the sampling error. s is the standard error of the difference of the
+    two values, se that of
     the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with
     s / se_fit: the more the prior can gain, the more evidence the log needs against it.
     Its values minimise the largest regret over all biases of the prior [1]_.

@@ -7,18 +7,30 @@ draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'`
 
 Objects. v(D, pi) is the estimate from a log D, J the value of pi in the target, L the
 estimator's own limit, r the rewards, b and c numbers, sigma a permutation of states and
-actions; E is the mean over independent logs::
+actions; E is the mean over independent logs.
 
-    well_formed         v finite, or a status, or a ValueError, on problems with one state, one action, one episode, ...
-    input_unchanged     D, pi, simulator and horizon after a call are what they were, to the bit
-    reproducible, seeds v for one seed, and for any seed of an estimator that is not random, has the same bits
-    support             no v, and no L but J, where the target has transitions with simulator probability 0
-    limit               E v -> L, also where pairs are never recorded that pi takes
-    consistent          E v -> J and L = J; ragged, identical: on episodes that end, where the target is the simulator
-    unbiased            E v = J from 3 episodes
-    relabelling         v(sigma D, sigma pi) = v(D, pi)
-    scale, shift        v of rewards b r is b v; v of rewards r + c is v + c sum_t gamma^t
-    padding, after_end  rows in an absorbing state after an episode's end do not change v
+=================  ===================================================================
+Law                What it says
+=================  ===================================================================
+well_formed        v is finite, or there is a status or a ValueError, on problems with
+                   one state, one action, one episode, ...
+input_unchanged    D, pi, simulator and horizon are after a call what they were, to
+                   the bit
+reproducible       v of one seed has the same bits each time
+seeds              v of any seed has the same bits, unless the estimator is random
+support            There is no v, and no L but J, where the target has transitions
+                   with simulator probability 0
+limit              E v -> L, also where pairs are never recorded that pi takes
+consistent         E v -> J and L = J
+ragged             The same on episodes that end
+identical          The same where the target is the simulator
+unbiased           E v = J from 3 episodes
+relabelling        v(sigma D, sigma pi) = v(D, pi)
+scale              v of rewards b r is b v
+shift              v of rewards r + c is v + c sum_t gamma^t
+padding            Rows in an absorbing state after an episode's end do not change v
+after_end          The same, whatever actions those rows have
+=================  ===================================================================
 
 Equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a right
 estimator fails with a chance of 1e-5.

@@ -39,7 +39,7 @@ from oee_tabular.testing.subject import (
 
 @dataclass(frozen=True)
 class Law:
-    """Hold how a law is checked, and which claims owe it; without claims everybody does."""
+    """Hold how a law is checked, and which claims owe it; without claims all do."""
 
     check: Callable[[Subject], str]
     claims: frozenset[str]
@@ -229,7 +229,8 @@ def check_module(
 
     It is imported from the current directory or from what is installed. A law that ends
     the process, or takes longer than ``timeout`` seconds, is broken; another process
-    goes on with the next law, until three laws have hung: the others are then "not run".
+    goes on with the next law, until three laws have hung: the others are then "not
+    run".
 
     Parameters
     ----------

@@ -64,7 +64,8 @@ def mdps(
         Forms of rewards to draw from: r(s), r(s, a), or r(s, a, s'), which is defined
         for every s'.
     absorbing : bool, optional
-        Whether the last state is absorbing with reward 0; None means either. At discount
+        Whether the last state is absorbing with reward 0; None means either. At
+        discount
         1 it always is, and every row reaches it with positive probability.
 
     Returns
@@ -280,7 +281,8 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     Parameters
     ----------
     mdp : FiniteMDP
-        None is drawn where the infinite sum exists for every policy of it: at a discount
+        None is drawn where the infinite sum exists for every policy of it: at a
+        discount
         below 1, and for all that ``mdps`` draws.
     max_horizon : int, default 6
         The largest horizon.
@@ -318,7 +320,8 @@ def logs(
     max_steps: int = 5,
     rewards: bool = True,
 ) -> st.SearchStrategy[Transitions]:
-    """Draw logs of an MDP: any transitions that it can make, whatever their probability.
+    """Draw logs of an MDP: any transitions that it can make, whatever their
+    probability.
 
     Parameters
     ----------

@@ -37,9 +37,9 @@ MAX_STEPS = 500
 # steps after which at most a twentieth of the residual may be left, where fewer than
 # MAX_STEPS are allowed
 N_PROBE_STEPS = 16
-# steps where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at discount
-# .99 and up to 39 at .9999, small worlds of 500 states 53 at .999, random bands 67 at
-# .99 and up to 500
+# steps where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at
+# discount .99 and up to 39 at .9999, small worlds of 500 states 53 at .999, random
+# bands 67 at .99 and up to 500
 MAX_STEPS_NARROW = 72
 
 # row pointers of L and U, their columns and values, D - 2; D~

@@ -151,7 +151,8 @@ def run(
 
     Notes
     -----
-    The cost is families x sizes x seeds x the estimators' time. Every mode gives the same
+    The cost is families x sizes x seeds x the estimators' time. Every mode gives the
+    same
     bits, but for ``seconds`` (process time).
 
     Examples
@@ -286,7 +287,8 @@ def facts_of(family: Family, problem: Problem) -> Row:
     """
     n = len(problem.log)
     horizon = family.horizon
-    # Without a discount and a horizon the occupancy may be infinite; an episode's is not.
+    # Without a discount and a horizon the occupancy may be infinite. An episode's is
+    # finite.
     is_endless = horizon is None and family.target.discount == 1.0
     steps = family.length if is_endless else horizon
     time = occupancy(family.target, family.policy, horizon=steps)

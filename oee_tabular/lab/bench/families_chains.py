@@ -38,7 +38,7 @@ TRIALS = np.array(
 NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)
 NUMBER_OF_TRIAL[tuple(TRIALS.T)] = np.arange(len(TRIALS))
 CURES = TRIALS[:, 0] + TRIALS[:, 2]
-# States of the search for a place: 2 * distance + (whether it is free), and 30, the end.
+# States of the search for a place: 2 * distance + (whether it is free); 30 is the end.
 PLACES = np.arange(31)[:, None]
 PARKS = PLACES % 2 * np.array([0, 1])
 PARKING_REWARDS = np.where(PARKS, -0.2 - 0.5 * (PLACES // 2), -0.3)
@@ -206,8 +206,8 @@ FIRST: dict[str, Maker] = {
         machine,
         recorded=0.9,
     ),
-    # Ages are 0 to 11, actions wait and cut. A fire takes the forest back to 0. A cut has
-    # the reward of the age's wood, the oldest forest 1 a year.
+    # Ages are 0 to 11, actions wait and cut. A fire takes the forest back to 0. A cut
+    # has the reward of the age's wood, the oldest forest 1 a year.
     "forest12": shift(
         "Fires are twice as frequent as simulated.",
         (12, 2),
@@ -234,8 +234,8 @@ FIRST: dict[str, Maker] = {
         ],
         length=20,
     ),
-    # There are 30 places, left or right, with an end to the right. A slip goes the other
-    # way, and every step costs 1.
+    # There are 30 places, left or right, with an end to the right. A slip goes the
+    # other way, and every step costs 1.
     "corridor30": shift(
         "Steps slip more often than simulated.",
         (30, 2),

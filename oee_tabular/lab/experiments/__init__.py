@@ -103,7 +103,7 @@ def table(
             raise ArgumentError(
                 "axes", f"must be among {', '.join(chosen)}; got {axis!r}"
             )
-        # 1000.0 is the same cell as 1000, whose stream is named by the axis's own value.
+        # 1000.0 is the same cell as 1000: the axis's own value names its stream.
         own = {value: value for value in chosen[axis]}
         chosen[axis] = tuple(
             own.get(x, x) for x in np.atleast_1d(np.asarray(given)).tolist()
