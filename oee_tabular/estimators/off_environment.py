@@ -126,10 +126,10 @@ class OffEnvironment(RatioEstimator):
     nearer value is more than 2 s away, change is lengthened towards the
     maximum-likelihood value, which it reaches at 4 s, because the linearisation error
     then exceeds the sampling error. s is the standard error of the difference of the
-    two values, se that of
-    the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with
-    s / se_fit: the more the prior can gain, the more evidence the log needs against it.
-    Its values minimise the largest regret over all biases of the prior [1]_.
+    two values, se that of the one-step value, se_fit that of zeta * P if its prior
+    fits. lambda grows with s / se_fit: the more the prior can gain, the more evidence
+    the log needs against it. Its values minimise the largest regret over all biases of
+    the prior [1]_.
 
     ``Estimate.standard_error`` is the root of the sum over recorded rows of Var(G) / n
     and over the others of Var(G), with G the derivative of J in zeta * P, and variances

@@ -65,8 +65,7 @@ def mdps(
         for every s'.
     absorbing : bool, optional
         Whether the last state is absorbing with reward 0; None means either. At
-        discount
-        1 it always is, and every row reaches it with positive probability.
+        discount 1 it always is, and every row reaches it with positive probability.
 
     Returns
     -------
@@ -282,8 +281,7 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     ----------
     mdp : FiniteMDP
         None is drawn where the infinite sum exists for every policy of it: at a
-        discount
-        below 1, and for all that ``mdps`` draws.
+        discount below 1, and for all that ``mdps`` draws.
     max_horizon : int, default 6
         The largest horizon.
 
@@ -320,8 +318,7 @@ def logs(
     max_steps: int = 5,
     rewards: bool = True,
 ) -> st.SearchStrategy[Transitions]:
-    """Draw logs of an MDP: any transitions that it can make, whatever their
-    probability.
+    """Draw logs of an MDP, of any transitions that it can make.
 
     Parameters
     ----------
