@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable, Mapping
-from textwrap import fill, indent
+from textwrap import fill
 from typing import Any, Generic, Literal, NoReturn, Self, TypeVar, overload
 
 # value: a discounted sum of rewards, or an error of one; share: in [0, 1]; ratio: of
@@ -320,27 +321,21 @@ class Diagnostics(dict[str, Any]):
 
 def _describe_fields() -> str:
     """Write the section of the class docstring that lists the declared diagnostics."""
+    margin = "    "
     lines = ["Attributes", "----------"]
     for name, field in Diagnostics.declared().items():
-        lines += [
-            f"{name} : {field.kind.__name__}, {field.unit}",
-            fill(
-                field.__doc__ or "",
-                84,
-                initial_indent=" " * 4,
-                subsequent_indent=" " * 4,
-            ),
-        ]
-    return indent("\n".join(lines), " " * 4).lstrip()
+        text = field.__doc__ or ""
+        lines.append(f"{name} : {field.kind.__name__}, {field.unit}")
+        lines.append(fill(text, 84, initial_indent=margin, subsequent_indent=margin))
+    return "\n".join(lines)
 
 
 # the list is made from the declarations, so that it cannot differ from them; without
 # docstrings (python -OO) there is nothing to add it to
 if Diagnostics.__doc__ is not None:
-    Diagnostics.__doc__ = Diagnostics.__doc__.replace(
-        "Examples\n    --------",
-        f"{_describe_fields()}\n\n    Examples\n    --------",
-        1,
+    # Python 3.13 keeps docstrings without their indentation; earlier ones with it
+    Diagnostics.__doc__ = inspect.cleandoc(Diagnostics.__doc__).replace(
+        "Examples\n--------", f"{_describe_fields()}\n\nExamples\n--------", 1
     )
 
 
