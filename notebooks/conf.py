@@ -167,6 +167,7 @@ def hidden_members(kind):
     for name, value in vars(kind).items():
         is_listed = isinstance(value, property) and name in listed
         is_private = getattr(value, "__name__", name).startswith("_")
+        is_private |= issubclass(kind, dict) and name in vars(dict)
         if not name.startswith("_") and (is_listed or is_private):
             yield name
 

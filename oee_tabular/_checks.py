@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import operator
 import os
@@ -314,10 +315,17 @@ def function(value: object, name: str) -> None:
 
 
 def warn(text: str, category: type[Warning]) -> None:
-    """Warn at the line that called the package, however deep inside the cause is."""
+    """Warn at the line that called the package, however deep inside the cause is.
+
+    ``dataclasses.replace`` and generated constructors are passed over, too.
+    """
     frame = sys._getframe(1)
     level = 2
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+    glue = (dataclasses.__file__, "<string>")
+    while frame.f_back is not None and (
+        frame.f_code.co_filename.startswith(_PACKAGE)
+        or frame.f_code.co_filename in glue
+    ):
         frame = frame.f_back
         level = level + 1
     warnings.warn(text, category, stacklevel=level)

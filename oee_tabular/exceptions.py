@@ -18,6 +18,7 @@ slip | must be in [0, 1]; it is 1.5
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 __all__ = [
     "AnswerError",
@@ -33,6 +34,16 @@ __all__ = [
     "SolverStatusError",
     "UnknownKeywordError",
 ]
+
+
+def _rebuild(
+    kind: type[BaseException], args: tuple[Any, ...], fields: dict[str, Any]
+) -> BaseException:
+    """Make an error of its parts, whatever the constructor of its class takes."""
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(fields)
+    return error
 
 
 class ArgumentError(ValueError):
@@ -61,15 +72,12 @@ class ArgumentError(ValueError):
     """
 
     def __init__(self, argument: str, rule: str) -> None:
-        super().__init__(argument, rule)
+        super().__init__(f"{argument} {rule}")
         self.argument = argument
         self.rule = rule
 
-    def __str__(self) -> str:
-        return f"{self.argument} {self.rule}"
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({str(self)!r})"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
 
 
 class UnknownKeywordError(TypeError):

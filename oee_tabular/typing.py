@@ -45,6 +45,7 @@ __all__ = [
     "PolicyLike",
     "RealArrayLike",
     "Seed",
+    "SeedNumbers",
     "SparseLike",
     "SupportsArray",
 ]
@@ -61,10 +62,17 @@ Seed: TypeAlias = (
     int
     | np.integer[Any]
     | Sequence[int]
+    | NDArray[np.integer[Any]]
     | np.random.SeedSequence
     | np.random.BitGenerator
     | np.random.Generator
     | None
+)
+
+
+# what a report takes: each of its estimators has a stream that is named by its place
+SeedNumbers: TypeAlias = (
+    int | np.integer[Any] | Sequence[int] | NDArray[np.integer[Any]] | None
 )
 
 
@@ -92,6 +100,7 @@ PolicyLike: TypeAlias = (
     SupportsArray
     | list[Any]
     | tuple[Any, ...]
+    | range
     | Mapping[Any, Any]
     | Callable[[Any], object]
 )

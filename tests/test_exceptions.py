@@ -1,6 +1,8 @@
 """Classes of errors and warnings: what users catch and filter, and where they point."""
 
+import dataclasses
 import pickle
+import typing
 import warnings
 
 import numpy as np
@@ -123,6 +125,40 @@ def test_a_warning_has_its_kind_and_points_to_the_line_of_the_caller(name, tmp_p
     own = [each for each in caught if issubclass(each.category, OeeWarning)]
     assert {each.category for each in own} == {kind}
     assert {each.filename for each in own} == {__file__}
+
+
+def test_a_warning_from_replace_points_to_the_line_of_the_caller():
+    problem = oee.Problem(COIN, LOG)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        dataclasses.replace(problem, horizon=10**9)
+    assert {each.filename for each in caught} == {__file__}
+
+
+class OwnError(ArgumentError):
+    """A subclass whose constructor takes something else."""
+
+    def __init__(self, place):
+        super().__init__(place, "must be mine")
+
+
+def test_a_subclass_of_an_error_is_pickled_as_well():
+    copied = pickle.loads(pickle.dumps(OwnError("here")))
+    assert (type(copied), str(copied)) == (OwnError, "here must be mine")
+    assert copied.args == ("here must be mine",)
+
+
+def test_an_error_of_a_file_keeps_its_argument(tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("state,action,next_state\n0,-1,1\n")
+    with pytest.raises(ArgumentError) as raised:
+        oee.Problem(COIN, path)
+    assert raised.value.argument.startswith("log: ")
+
+
+def test_hints_of_types_can_be_read_at_run_time():
+    for door in (oee.sample_returns, oee.tasks.NamedTask, oee.tasks.CartPole):
+        assert typing.get_type_hints(door)
 
 
 def test_the_package_s_own_warnings_can_be_filtered():

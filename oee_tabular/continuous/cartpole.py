@@ -337,7 +337,7 @@ def train_expert(
 
     Parameters
     ----------
-    seed : int, Generator or SeedSequence, optional
+    seed : int, Generator or SeedSequence, default 2346
         The source of random numbers. The same seed gives the same bits; the default
         trains the expert that is shipped.
     iterations : int, default 2

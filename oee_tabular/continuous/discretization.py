@@ -301,7 +301,7 @@ class VisitedCells:
             Tasks that visit states as well.
         policies : sequence of functions
             The policies under which the tasks visit states.
-        seed : int, Generator or SeedSequence, optional
+        seed : int, Generator or SeedSequence
             The source of random numbers. The same seed gives the same bits.
 
         Returns
@@ -393,7 +393,7 @@ def visited_states(
         How many states in all, in equal parts from each task under each policy.
     max_steps : int
         The longest episode.
-    seed : int, Generator or SeedSequence, optional
+    seed : int, Generator or SeedSequence
         The source of random numbers. The same seed gives the same bits.
 
     Returns

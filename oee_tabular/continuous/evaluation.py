@@ -66,7 +66,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
 from oee_tabular.report.results import Report, Result
 from oee_tabular.report.uncertainty import Uncertainty, choose_interval
-from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, Seed
+from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
 
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
@@ -93,7 +93,7 @@ def evaluate_continuous(
     horizon: int | None = None,
     discount: float = 0.99,
     confidence: float = 0.95,
-    seed: Seed = None,
+    seed: SeedNumbers = None,
     normalized: bool = False,
     facts: Mapping[str, Any] | None = None,
     guaranteed: bool = False,
@@ -405,7 +405,7 @@ def evaluate_continuous(
         return simulate(known[np.asarray(table).tobytes()])
 
     def evaluate_row(
-        row: Row, problem: Problem, table: Array, *, seed: Seed = None
+        row: Row, problem: Problem, table: Array, *, seed: SeedNumbers = None
     ) -> Estimate:
         """Evaluate a row for a policy that is given by its table on the cells."""
         return row(known[np.asarray(table).tobytes()])
@@ -607,7 +607,7 @@ def _report_rows(
     discount: float,
     facts: Mapping[str, Any],
     *,
-    seed: Seed = None,
+    seed: SeedNumbers = None,
     confidence: float = 0.95,
     normalized: bool = False,
     guaranteed: bool = False,

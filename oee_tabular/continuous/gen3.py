@@ -480,6 +480,9 @@ def load_kinova_log(
     found = ContinuousTransitions.load(path)
     try:
         return hand_log(found, speed=speed)
+    except ArgumentError as error:
+        argument = f"{os.fspath(path)!r}: {error.argument}"
+        raise ArgumentError(argument, error.rule) from None
     except ValueError as error:
         raise ValueError(f"{os.fspath(path)!r}: {error}") from None
 

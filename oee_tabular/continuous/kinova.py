@@ -287,7 +287,7 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> Kino
         hand that is known.
     n_states : int, default 500
         How many states are stepped, at most.
-    seed : int, Generator or SeedSequence, optional
+    seed : int, Generator or SeedSequence, default 0
         The source of random numbers, by default 0. The same seed gives the same bits.
 
     Returns

@@ -27,6 +27,8 @@ from oee_tabular.typing import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.discretization import CellsLike
+else:
+    CellsLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
 StatePolicy: TypeAlias = Callable[[Array], Array]
 

@@ -58,7 +58,7 @@ def open_log(
     bad_rows : {'refuse', 'drop'}, default 'refuse'
         Raise at the first invalid row, or leave such rows out and give their number.
         The other transitions of a broken episode are still counted.
-    kept_moves : int, default 200 000
+    kept_moves : int, default 200_000
         About how many transitions are kept, in whole episodes, for importance
         sampling. A hash of its name decides whether an episode is kept.
     output : path_like, optional
@@ -226,6 +226,8 @@ def read_log(
             is_counted = not is_list and holds_counts(source)
             kind = TransitionCounts if is_counted else Transitions
             log = kind.load(source)
+        except ArgumentError as error:
+            raise ArgumentError(f"{name}: {error.argument}", error.rule) from error
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:

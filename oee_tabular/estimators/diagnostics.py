@@ -5,7 +5,19 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping
 from textwrap import fill
-from typing import Any, Generic, Literal, NoReturn, Self, TypeVar, overload
+from typing import (
+    Any,
+    Generic,
+    Literal,
+    Never,
+    NoReturn,
+    Self,
+    TypeVar,
+    final,
+    overload,
+)
+
+import numpy as np
 
 # value: a discounted sum of rewards, or an error of one; share: in [0, 1]; ratio: of
 # two probabilities, or of two occupancies; nats: of a logarithm of probabilities
@@ -54,6 +66,7 @@ class Diagnostic(Generic[Number]):
         return self if instance is None else instance.get(self.name)
 
 
+@final
 class Diagnostics(dict[str, Any]):
     """The diagnostics of an estimate: a read-only dict whose known keys are declared.
 
@@ -80,6 +93,8 @@ class Diagnostics(dict[str, Any]):
     >>> Diagnostics.unit_of("one_step_value"), Diagnostics.unit_of("colour")
     ('value', None)
     """
+
+    __slots__ = ()
 
     def __init__(
         self, facts: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), /, **more: Any
@@ -300,23 +315,77 @@ class Diagnostics(dict[str, Any]):
             The same diagnostics in the same order, in the unit of the scaled value.
         """
         return Diagnostics(
-            (key, x * factor if x is not None and self.unit_of(key) == "value" else x)
+            (key, x * factor if self._is_value(key, x) else x)
             for key, x in self.items()
         )
 
-    def _refuse(self, *args: object, **kwargs: object) -> NoReturn:
-        """Refuse every change: the diagnostics are part of a frozen result."""
-        raise TypeError(
-            "the diagnostics of an estimate are read-only; dict(diagnostics) is a copy"
-            " that can be changed"
-        )
+    def _is_value(self, key: str, x: object) -> bool:
+        """Return whether a diagnostic is a number in the unit of the value."""
+        is_number = isinstance(x, int | float | np.number)
+        return is_number and self.unit_of(key) == "value"
 
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    clear = pop = popitem = setdefault = update = _refuse
+    # The methods that would change the dict. ``Never`` lets type checkers refuse each
+    # call; NoReturn would tell them that what follows is not reached.
+    def __setitem__(self, key: Never, value: Never, /) -> None:  # type: ignore[override]
+        _refuse_change()
+
+    def __delitem__(self, key: Never, /) -> None:  # type: ignore[override]
+        _refuse_change()
+
+    def __ior__(self, other: Never, /) -> Self:  # type: ignore[override, misc]
+        return _refuse_change()
+
+    def clear(self) -> None:
+        """Refuse to be changed."""
+        _refuse_change()
+
+    def pop(self, *args: Never) -> None:  # type: ignore[override]
+        """Refuse to be changed.
+
+        Parameters
+        ----------
+        *args : Never
+            Nothing is taken.
+        """
+        _refuse_change()
+
+    def popitem(self) -> NoReturn:
+        """Refuse to be changed."""
+        _refuse_change()
+
+    def setdefault(self, *args: Never) -> None:  # type: ignore[override]
+        """Refuse to be changed.
+
+        Parameters
+        ----------
+        *args : Never
+            Nothing is taken.
+        """
+        _refuse_change()
+
+    def update(self, *args: Never, **kwargs: Never) -> None:  # type: ignore[override]
+        """Refuse to be changed.
+
+        Parameters
+        ----------
+        *args : Never
+            Nothing is taken.
+        **kwargs : Never
+            Nothing is taken.
+        """
+        _refuse_change()
 
     def __reduce__(self) -> tuple[type[Diagnostics], tuple[dict[str, Any]]]:
         """Return what pickles rebuild it from: a dict, since items cannot be set."""
         return Diagnostics, (dict(self),)
+
+
+def _refuse_change() -> NoReturn:
+    """Refuse a change: the diagnostics are part of a frozen result."""
+    raise TypeError(
+        "the diagnostics of an estimate are read-only; dict(diagnostics) is a copy"
+        " that can be changed"
+    )
 
 
 def _describe_fields() -> str:
@@ -353,7 +422,12 @@ class DiagnosticsField:
 
     def __get__(self, instance: object | None, owner: type) -> Any:
         # the class's own attribute is the default, and may be no dict, which is mutable
-        return () if instance is None else vars(instance)[self.name]
+        if instance is None:
+            return ()
+        stored = vars(instance)[self.name]
+        if type(stored) is dict:  # in a pickle that was written before there were units
+            stored = vars(instance)[self.name] = Diagnostics(stored)
+        return stored
 
     def __set__(self, instance: object, value: Mapping[str, Any] | tuple[()]) -> None:
         # anything else stays what it is: ``testing.check_estimator`` reports it

@@ -716,7 +716,7 @@ class FiniteMDP:
             ``env.reset`` and for the actions.
         discount : float, default 0.99
             The discount gamma in [0, 1].
-        max_steps : int, default 1 000 000
+        max_steps : int, default 1_000_000
             The largest number of steps. If it does not suffice, a warning gives the
             number of pairs with fewer samples, and names three.
 

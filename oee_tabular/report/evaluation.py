@@ -42,7 +42,7 @@ from oee_tabular.report.uncertainty import (
     choose_interval,
     find_intervals,
 )
-from oee_tabular.typing import Array, PoliciesLike, Seed
+from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 
 # of the largest action value: a smaller loss is rounding
 OPTIMALITY_TOLERANCE = 1e-9
@@ -54,9 +54,9 @@ Member: TypeAlias = tuple[Finding, str, str]  # a finding, its policy, its estim
 
 # what evaluates: an estimator, a class that makes one, or a function of a problem and
 # a policy
+Answer: TypeAlias = float | np.floating[Any] | np.integer[Any] | Estimate
 EstimatorLike: TypeAlias = (
-    Estimator
-    | Callable[..., float | np.floating[Any] | np.integer[Any] | Estimate | Estimator]
+    Estimator | Callable[..., Answer | Estimator | Callable[..., Answer]]
 )
 EstimatorsLike: TypeAlias = (
     EstimatorName
@@ -74,7 +74,7 @@ def evaluate(
     *,
     estimators: EstimatorsLike | None = None,
     confidence: float = 0.95,
-    seed: Seed = None,
+    seed: SeedNumbers = None,
     normalized: bool = False,
     target: FiniteMDP | None = None,
     facts: Mapping[str, Any] | None = None,
@@ -463,7 +463,7 @@ def _run_estimators(
     problem: Problem,
     policies: Mapping[str, Array],
     chosen: Mapping[str, EstimatorLike],
-    seed: Seed,
+    seed: SeedNumbers,
 ) -> list[Result]:
     """Run every estimator on every policy.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 if TYPE_CHECKING:
     from oee_tabular.exact.reweighted import RatioLike
+else:
+    RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
 KINDS = ("per_decision", "trajectory")
 Kind: TypeAlias = Literal["per_decision", "trajectory"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from oee_tabular.typing import (
 
 if TYPE_CHECKING:
     from oee_tabular.exact.reweighted import RatioLike
+else:
+    RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
 # streams of random numbers, so that one seed gives three different samples
 LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from oee_tabular import _checks
 from oee_tabular._arguments import arguments, parse_spec
@@ -26,6 +26,9 @@ from oee_tabular.typing import Array
 if TYPE_CHECKING:
     from oee_tabular.continuous.discretized import Discretization
     from oee_tabular.continuous.simulator import ContinuousSimulator
+else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded on use
+    Discretization: TypeAlias = Any
+    ContinuousSimulator: TypeAlias = Any
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
 FINITE = ("gridworld",)

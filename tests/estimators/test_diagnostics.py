@@ -243,3 +243,25 @@ def test_a_calibrated_row_leaves_out_the_values_of_the_raw_one():
         "calibration": "ratio: times 1.1 / 1 (simulator: continuous / discretised)",
         "interval_method": "calibrated",
     }
+
+
+def test_no_attribute_can_be_set_beside_the_keys():
+    facts = Estimate(1.0, diagnostics={"coverage": 0.5}).diagnostics
+    for name in ("coverage", "covrage"):
+        with pytest.raises(AttributeError):
+            setattr(facts, name, 3.0)
+    assert facts == {"coverage": 0.5}
+
+
+def test_a_pickle_that_holds_a_plain_dict_is_read():
+    """As those were that an earlier state of the package wrote."""
+    estimate = Estimate(1.0, diagnostics={"coverage": 0.5})
+    vars(estimate)["diagnostics"] = {"coverage": 0.5}
+    old = pickle.loads(pickle.dumps(estimate))
+    assert old.diagnostics.coverage == 0.5
+    assert isinstance(old.diagnostics, Diagnostics)
+
+
+def test_a_key_of_another_type_is_kept_as_it_is():
+    facts = Estimate(1.0, diagnostics={"model_value": "high"}).diagnostics
+    assert facts.scaled(0.5) == {"model_value": "high"}

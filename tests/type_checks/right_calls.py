@@ -166,3 +166,15 @@ check_assumptions([3, 1], [2, 2], lower=0.1, upper=np.inf)
 Conditional(features=lambda s, a, t: t, prior="ridge")
 Network([32, 32], "tanh", inputs=[0.0, 1.0])
 Quotient(solver=Sgd(0.1), functions=None, data="exact", normalized=False)
+
+
+class Mine:
+    """An estimator of one's own, which is made without arguments."""
+
+    def __call__(self, problem: oee.Problem, policy: Array) -> float:
+        """Return an estimate."""
+        return 1.0
+
+
+of_a_class = oee.evaluate(problem, [0, 1], estimators={"mine": Mine})
+of_numbers = oee.sample_episodes(small, range(2), 10, 20, seed=np.array([1, 2]))

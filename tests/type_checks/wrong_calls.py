@@ -185,3 +185,16 @@ density_ratio([1, 2], [1, 2], loss="l2")  # wrong
 density_ratio([1, 2], [1, 2], solver=3)  # wrong
 density_ratio([1, 2], [1, 2], kernel="gauss", coordinates=[0, 1])  # wrong
 check_assumptions("ab", [2, 2], lower=0.1, upper=1.0)  # wrong
+
+
+# the diagnostics of an estimate cannot be changed, and what follows is still checked
+def change_diagnostics(estimate: oee.Estimate) -> None:
+    estimate.diagnostics["note"] = 1  # wrong
+    del estimate.diagnostics["note"]  # wrong
+    estimate.diagnostics.update(note=1)  # wrong
+    estimate.diagnostics.pop("note")  # wrong
+    estimate.diagnostics.setdefault("note", 1)  # wrong
+    oee.evaluate("nonsense", policy)  # wrong
+
+
+oee.evaluate(problem, policy, seed=np.random.default_rng(0))  # wrong

@@ -46,7 +46,7 @@ from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_o
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
 from oee_tabular.testing.conformance import own_estimator
-from oee_tabular.typing import PolicyLike, Seed
+from oee_tabular.typing import PolicyLike, SeedNumbers
 
 __all__ = [
     "Families",
@@ -458,7 +458,7 @@ def look_up_estimator(spec: str) -> Any:
 
 
 def evaluate_as_printed(
-    problem: Problem, policy: PolicyLike, *, seed: Seed = None
+    problem: Problem, policy: PolicyLike, *, seed: SeedNumbers = None
 ) -> Estimate:
     """Return the value of ``oee`` and the interval that ``oee.evaluate`` prints."""
     from oee_tabular.report import evaluate
