@@ -113,22 +113,18 @@ class UnknownKeywordError(TypeError):
     def __init__(
         self, function: str, keyword: str, nearest: str | None, known: Sequence[str]
     ) -> None:
-        super().__init__(function, keyword, nearest, known)
+        hint = f"It takes {', '.join(known)}." if known else "It takes none."
+        if nearest is not None:
+            hint = f"Did you mean {nearest!r}?"
+        super().__init__(
+            f"{function}() got an unexpected keyword argument {keyword!r}. {hint}"
+        )
         self.function = function
         self.keyword = keyword
         self.nearest = nearest
-        self._known = tuple(known)
 
-    def __str__(self) -> str:
-        hint = (
-            f"It takes {', '.join(self._known)}." if self._known else "It takes none."
-        )
-        if self.nearest is not None:
-            hint = f"Did you mean {self.nearest!r}?"
-        return (
-            f"{self.function}() got an unexpected keyword argument {self.keyword!r}."
-            f" {hint}"
-        )
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), self.args, self.__dict__)
 
 
 class DivergentKernelError(ValueError):

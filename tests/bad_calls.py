@@ -721,4 +721,17 @@ mdps(discounts=[1.5])  ->  discounts must be in [0, 1]; it is 1.5
 mdps(discounts=[])  ->  discounts must hold at least one; it is empty
 mdps(rewards=["ss"])  ->  rewards must be one of 's', 'sa', 'sas'; got 'ss'
 mdp_pairs(support="violated", min_states=1)  ->  min_states must be at least 2 for support 'violated'; it is 1
+# misspelt keywords, and options that a method does not have
+evaluate(P, UNIFORM, lower_raito=3)  ->  evaluate() got an unexpected ...'lower_raito'. Did you mean 'lower_ratio'?
+evaluate(P, UNIFORM, sed=3)  ->  evaluate() got an unexpected keyword argument 'sed'. Did you mean 'seed'?
+oee.report.contest(P, [UNIFORM, UP], horizon=3)  ->  contest() got an unexpected ...'horizon'. It takes problem, policies,
+interval(P, UNIFORM, confidnce=0.9)  ->  interval() got an unexpected keyword argument 'confidnce'. Did you mean 'confidence'?
+zeta(lowr=0.5)  ->  transition_ratio() got an unexpected keyword argument 'lowr'. Did you mean 'lower'?
+zeta(method=Conditional(), lower=0.5)  ->  lower must ...
+policy_value(GRID, UNIFORM, horizn=3)  ->  policy_value() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
+plan(P, nn=3)  ->  plan_data_collection() got an unexpected keyword argument 'nn'. Did you mean 'n'?
+Conditional(rdge=1.0)  ->  Conditional() got an unexpected keyword argument 'rdge'. Did you mean 'ridge'?
+Problem(GRID, LOG, horizn=3)  ->  Problem() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
+Transitions([0], [0], [0], rewrd=[1.0])  ->  Transitions() got an unexpected keyword argument 'rewrd'. Did you mean 'reward'?
+Estimate(1.0, diagnostics={}).diagnostics.update(coverage=1.0)  ->  the diagnostics of an estimate are read-only
 """

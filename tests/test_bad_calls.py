@@ -246,7 +246,7 @@ LINES = [line for line in TABLE.replace("\n  ", " ").splitlines() if "  ->  " in
 @pytest.mark.filterwarnings("ignore")
 def test_bad_calls(line):
     source, text = line.split("  ->  ", 1)
-    with pytest.raises((ValueError, FileNotFoundError)) as refused:
+    with pytest.raises((ValueError, TypeError, FileNotFoundError)) as refused:
         eval(source, NAMES)
     wanted = f"{text.rstrip()}...\n"
     assert doctest.OutputChecker().check_output(
