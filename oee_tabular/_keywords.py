@@ -66,7 +66,7 @@ def refuse_unknown(
         each.name
         for each in parameters
         if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)
-        and each.name != "self"
+        and each.name not in ("self", "cls")
         and not each.name.startswith("_")
     ]
     for keyword in keywords:

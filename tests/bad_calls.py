@@ -730,6 +730,7 @@ zeta(lowr=0.5)  ->  transition_ratio() got an unexpected keyword argument 'lowr'
 zeta(method=Conditional(), lower=0.5)  ->  lower must ...
 policy_value(GRID, UNIFORM, horizn=3)  ->  policy_value() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
 plan(P, nn=3)  ->  plan_data_collection() got an unexpected keyword argument 'nn'. Did you mean 'n'?
+Transitions.load("log.csv", colums={})  ->  load() got an unexpected keyword argument 'colums'. It takes path.
 Conditional(rdge=1.0)  ->  Conditional() got an unexpected keyword argument 'rdge'. Did you mean 'ridge'?
 Problem(GRID, LOG, horizn=3)  ->  Problem() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
 Transitions([0], [0], [0], rewrd=[1.0])  ->  Transitions() got an unexpected keyword argument 'rewrd'. Did you mean 'reward'?

@@ -364,8 +364,7 @@ def info(
 
 
 def describe_files(files: list[str]) -> tuple[str, str]:
-    """Return what kind of thing a file, a data set or the files of a log hold, in
-    words.
+    """Return in words what kind of thing a file, a data set or a log's files hold.
 
     Parameters
     ----------

@@ -11,6 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import freeze
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.rules import (
@@ -354,6 +355,7 @@ class LogColumns:
         files.save(self, self.FILES, path)
 
     @classmethod
+    @suggest_keywords
     def load(cls, path: files.Paths) -> Self:
         r"""Read a log from files.
 

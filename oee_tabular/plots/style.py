@@ -1,6 +1,4 @@
-"""Colours, markers and lines that colour-blind readers can tell apart; figures as
-files.
-"""
+"""Colours, markers and lines that colour-blind readers tell apart; figures as files."""
 
 from __future__ import annotations
 
