@@ -5,6 +5,7 @@ for, what axe finds.
 import shutil
 
 import pytest
+from helpers import GIVE_UP_SECONDS
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -48,6 +49,8 @@ def opened(browser, address, width, scheme, **options):
         reduced_motion="reduce",
         **options,
     )
+    # a slow machine is no failure
+    context.set_default_timeout(1000.0 * GIVE_UP_SECONDS)
     page = context.new_page()
     heard = []
     asked = []

@@ -7,14 +7,16 @@ import shlex
 import warnings
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # run by hand, from their own folder; they import each other and peers
 collect_ignore = ["benchmarks"]
 
-settings.register_profile("dev", deadline=None, max_examples=30)
+# neither a test nor the drawing of its cases has a limit in time
+unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("dev", unhurried, max_examples=30)
 settings.register_profile(
-    "ci", deadline=None, max_examples=100, derandomize=True, print_blob=True
+    "ci", unhurried, max_examples=100, derandomize=True, print_blob=True
 )
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 

@@ -6,6 +6,7 @@ import copy
 import os
 import subprocess
 import sys
+import time
 from html.parser import HTMLParser
 
 import numpy as np
@@ -15,6 +16,18 @@ from scipy import sparse
 
 from oee_tabular import FiniteMDP, sample_transitions
 from oee_tabular.mdp.rows import Rows
+
+# seconds after which a test gives up waiting: it hangs, because no machine is so slow
+GIVE_UP_SECONDS = 3600.0
+
+
+def wait_until(is_done, process=None):
+    """Wait until ``is_done()``, or until the process that is to do it has ended."""
+    start = time.monotonic()
+    while not is_done():
+        assert process is None or process.poll() is None, "the process has ended"
+        assert time.monotonic() - start < GIVE_UP_SECONDS, "it hangs"
+        time.sleep(0.02)
 
 
 def integer_distribution(rng, size, zeros=0.3):

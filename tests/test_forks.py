@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from helpers import GIVE_UP_SECONDS
 
 import oee_tabular as oee
 
@@ -83,7 +84,7 @@ def test_the_bits_are_the_same(way):
     """
     command = [sys.executable, "-W", "ignore", __file__, way]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False
+        command, capture_output=True, text=True, timeout=GIVE_UP_SECONDS, check=False
     )
     assert done.stdout == "the same\n", done.stderr
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import run_command
+from helpers import GIVE_UP_SECONDS, run_command
 
 import oee_tabular as oee
 from oee_tabular.lab.run import LOCK, Store, alone
@@ -133,11 +133,11 @@ def test_a_full_disk_names_the_file(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 
     # what is compiled is written, too
-    started(f"{SAMPLE} {tmp_path}/log.npz").communicate(timeout=120)
+    started(f"{SAMPLE} {tmp_path}/log.npz").communicate(timeout=GIVE_UP_SECONDS)
     for name in ("log.npz", "log.csv", "log.parquet"):
         (tmp_path / name).write_text("old")
         process = started(f"{SAMPLE} {tmp_path / name} --overwrite", preexec_fn=small)
-        said = process.communicate(timeout=120)[1]
+        said = process.communicate(timeout=GIVE_UP_SECONDS)[1]
         assert process.returncode == 2
         assert said.splitlines()[-1].startswith(
             f"oee: {tmp_path / name}: cannot be written ("
@@ -254,7 +254,7 @@ from pathlib import Path
 from oee_tabular.lab.run import alone
 with alone(Path(sys.argv[1])):
     print("held", flush=True)
-    time.sleep(60)
+    time.sleep(3600)
 """
 
 
@@ -390,7 +390,7 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
         ],
         capture_output=True,
         text=True,
-        timeout=20,
+        timeout=GIVE_UP_SECONDS,
         check=False,
     )
     assert process.returncode == 130

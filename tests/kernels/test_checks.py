@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from helpers import rngs
+from helpers import rngs, wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -51,16 +51,20 @@ class Silent:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_any_value_is_shown_quickly_and_briefly(value):
-    began = time.process_time()
-    text = _checks.show(value)
-    assert time.process_time() - began < 1.0
+def test_any_value_is_shown_in_few_calls_and_briefly(value):
+    calls = []
+    sys.setprofile(lambda *event: calls.append(event[1]))
+    try:
+        text = _checks.show(value)
+    finally:
+        sys.setprofile(None)
+    # of a list with a million items, a few are looked at
+    assert len(calls) < 2000
     assert 0 < len(text) <= 300
     with pytest.raises(ValueError, match="horizon must be"):
         oee.policy_value(
             GRID, UNIFORM, horizon=value if not isinstance(value, int) else -value
         )
-    assert time.process_time() - began < 2.0
 
 
 @pytest.mark.parametrize("text", ["\x1b[31mX", "a\nb", "\x9b31m", "\u202egnp"])
@@ -137,15 +141,14 @@ def test_slow_steps_are_reported_once_on_stderr(capsys, monkeypatch):
     told = ""
 
     def wait_for(word):
-        nonlocal told
-        for _ in range(500):
+        def is_told():
+            nonlocal told
             captured = capsys.readouterr()
             assert captured.out == ""
             told += captured.err
-            if word in told:
-                return
-            time.sleep(0.02)
-        raise AssertionError("not told")
+            return word in told
+
+        wait_until(is_told)
 
     _progress.report_step("nobody listens")
     with _progress.show_steps():

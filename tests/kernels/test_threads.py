@@ -8,6 +8,7 @@ import threading
 
 import numpy as np
 import pytest
+from helpers import GIVE_UP_SECONDS
 from test_threads import blas_threads
 from threadpoolctl import threadpool_limits
 
@@ -47,7 +48,7 @@ def test_one_thread_inside_and_as_many_as_before_afterwards():
         for worker in workers:
             worker.start()
         for worker in workers:
-            worker.join(20)
+            worker.join()
         assert seen == [{1}]
         assert blas_threads() == before
 
@@ -72,12 +73,12 @@ with threadpool_limits(2, user_api="blas"):
     before = threads()
     worker = threading.Thread(target=stay)
     worker.start()
-    inside.wait(20)
+    inside.wait()
     child = os.fork()
     if child == 0:
         os._exit(0 if (threads(), one_thread(threads)(), threads()) == (before, {1}, before) else 1)
     leave.set()
-    worker.join(20)
+    worker.join()
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 """
 
@@ -90,7 +91,7 @@ def test_a_forked_process_is_not_held_by_threads_that_it_has_not():
     subprocess.run(
         [sys.executable, "-W", "ignore::DeprecationWarning", "-c", FORKS],
         check=True,
-        timeout=60,
+        timeout=GIVE_UP_SECONDS,
     )
 
 

@@ -6,6 +6,7 @@ take a user's own estimators and families.
 
 import json
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -107,21 +108,20 @@ def fail(problem, policy, *, seed=None):
 
 
 def hang(problem, policy):
-    while True:
-        pass
+    # as the alarm does at the end of the time
+    signal.raise_signal(signal.SIGALRM)
 
 
 def test_an_estimator_that_never_returns_is_a_row_with_that_reason():
     asked = {"families": ["machine"], "sizes": [3], "seeds": 1}
-    oee.bench.run(["simulator"], **asked)  # compiles
     status = (
-        oee.bench.run({"hang": hang}, **asked, timeout=1.5)
+        oee.bench.run({"hang": hang}, **asked, timeout=3600)
         .table.set_index("estimator")
         .status
     )
     assert (
         status["hang"]
-        == "TimeoutError: no answer within 1.5 s (--timeout gives it more)"
+        == "TimeoutError: no answer within 3600 s (--timeout gives it more)"
     )
     assert (status.drop("hang") == "ok").all()
     with pytest.raises(ValueError, match="timeout must be"):

@@ -4,6 +4,7 @@ keyboard, and axe's findings.
 
 import pytest
 from browsing import axe, browser, opened, violations  # noqa: F401
+from helpers import wait_until
 
 import oee_tabular as oee
 from oee_tabular.tasks import embedded_default
@@ -125,9 +126,6 @@ def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
     table = page.locator("#changes .scroll")
     table.focus()
     page.keyboard.press("ArrowRight")
-    for _ in range(100):  # Playwright's own waiting needs eval, which the page forbids
-        if moved := table.evaluate("e => e.scrollLeft"):
-            break
-        page.wait_for_timeout(30)
-    assert moved > 0
+    # Playwright's own waiting needs eval, which the page forbids
+    wait_until(lambda: table.evaluate("e => e.scrollLeft") > 0)
     page.context.close()
