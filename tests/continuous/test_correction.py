@@ -120,6 +120,23 @@ def test_a_log_without_episodes_is_chained_by_its_states():
     )
 
 
+@pytest.mark.parametrize("ended", ["truncated", "terminated"])
+@pytest.mark.parametrize("has_episodes", [False, True])
+def test_nothing_follows_a_row_that_ends_its_episode(ended, has_episodes):
+    """The next row begins where this one ends, and has no last action yet."""
+    places = 0.1 * np.arange(31)[:, None]
+    action = np.random.default_rng(0).integers(2, size=30)
+    ends = np.isin(np.arange(30), [4, 17])
+    columns = {"state": places[:-1], "action": action, "next_state": places[1:]}
+    columns[ended] = ends
+    if has_episodes:
+        columns["episode"] = np.repeat([3, 1, 2], [5, 13, 12])
+    whole = HistoryTask(Line(), 1).log(ContinuousTransitions(**columns))
+    is_first = np.insert(ends[:-1], 0, True)
+    last = np.eye(2)[np.insert(action[:-1], 0, 0)]
+    assert_array_equal(whole.state[:, 1:], np.where(is_first[:, None], 0.0, last))
+
+
 # ---------------------------------------------------------------- what history explains
 
 
@@ -391,6 +408,33 @@ def test_standard_errors_are_those_of_other_logs():
     errors = np.array([fit.standard_error["gravity"] for fit in fits])
     assert 0.6 < found.std() / errors.mean() < 1.6
     assert (np.abs(found - 12.0) < 2 * errors).mean() > 0.8
+
+
+class Pushed(Line):
+    """Line with a constant push and heavy tails: Student's t with two degrees."""
+
+    def __init__(self, push, noise=0.0):
+        super().__init__(lambda s, a: push + 0.0 * s, noise)
+
+    def step(self, states, actions, rng):
+        scatter = rng.standard_t(2.0, size=(len(states), 1))
+        return self.moves(states, actions, scatter)
+
+
+def test_standard_errors_by_hand():
+    """The sandwich of soft L1, rho(e) = 2 c^2 ((1 + (e / c)^2)^(1/2) - 1).
+
+    rho' / 2 = e w and rho'' / 2 = w^3 with w = (1 + (e / c)^2)^(-1/2); c is the median
+    of abs(e). Of a constant push, se = (sum (w e)^2)^(1/2) / sum w^3.
+    """
+    log = line_log(Pushed(0.05, noise=0.02), 4000)
+    fit = fit_parameters(Pushed, {"push": 0.1}, log)
+    e = fit.residual[:, 0]
+    w = (1.0 + (e / np.median(np.abs(e))) ** 2) ** -0.5
+    own = np.sqrt(np.sum((w * e) ** 2)) / np.sum(w**3)
+    # the scale c is that of the fit before the last one
+    assert_allclose(fit.standard_error["push"], own, rtol=0.01)
+    assert abs(fit.parameters["push"] - 0.05) < 4.0 * own
 
 
 def test_rows_that_no_structure_explains_pull_little():
@@ -700,6 +744,34 @@ def test_a_policy_beyond_the_log_is_reported():
     assert [finding.kind for finding in far.findings] == ["beyond"]
     assert not near.findings
     assert "start outside the range of the recorded states" in str(far.findings[0])
+
+
+def test_on_cells_no_value_is_beyond_what_the_rewards_sum_to(monkeypatch):
+    """CartPole pays 1 in each of 20 steps, or 0 after its end."""
+
+    def absurd(*given):
+        return Estimate(1e9)
+
+    monkeypatch.setattr("oee_tabular.continuous.rows.calibrated_row", absurd)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report = evaluate_continuous(
+            CartPole(10.0),
+            log_of(SIMULATOR, n=500),
+            {"mixed": cartpole_policy(0.4)},
+            settings=Settings(grid=(8, 8), episodes=50),
+            horizon=20,
+            discount=0.9,
+            seed=0,
+            estimators=["oee"],
+            history=0,
+        )
+    highest = sum(0.9**t for t in range(20))
+    refused = [row.estimate.status for row in report.results]
+    assert (
+        f"1e+09 is impossible: a sum of 20 rewards is between 0 and {highest:.4g}"
+        in refused
+    )
 
 
 def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):

@@ -219,6 +219,25 @@ def line_log(target, n=2000, seed=0, steps=20):
     return record(target, half, n_transitions=n, max_steps=steps, seed=seed)
 
 
+class OneSided(Line):
+    """Line whose noise only pushes to the right, abs(xi): its mean is not 0."""
+
+    def moves(self, states, actions, disturbance):
+        return super().moves(states, actions, np.abs(disturbance))
+
+
+@pytest.mark.parametrize(
+    ("simulator", "scatter"), [(Line, "simulator"), (OneSided, "log")]
+)
+def test_noise_of_the_same_size_and_another_mean_is_not_the_simulator_s(
+    simulator, scatter
+):
+    """abs(xi) and xi have the root mean square 1, and the means 0.8 and 0."""
+    log = line_log(Line(noise=0.1))
+    corrected = ResidualSimulator(simulator(noise=0.1), log, seed=0)
+    assert corrected.coordinates[0].scatter == scatter
+
+
 @pytest.mark.parametrize(
     ("drift", "kind", "per_action"),
     [

@@ -586,3 +586,26 @@ def test_the_next_pairs_are_the_largest_falls_one_after_another():
         own.append(max(falls, key=falls.get))
         counts[own[-1]] += 1
     assert list(plan.next_pairs) == own
+
+
+@pytest.mark.parametrize(
+    ("ratio", "first"), [(1.5, (1, 0)), (3.0, (1, 0)), (5.0, (0, 0))]
+)
+def test_a_pair_without_records_may_be_worth_more_than_one_with_a_record(ratio, first):
+    """One transition of state 1 takes off 2 z sqrt(c_1), a second of state 0
+    z sqrt(c_0) / 2: they are equal where sqrt(c_0 / c_1) = 4.
+    """
+    rows = np.zeros((6, 1, 6))
+    rows[0, 0, 2:4] = rows[1, 0, 4:6] = 0.5
+    rows[range(2, 6), 0, range(2, 6)] = 1.0
+    pay = np.zeros((6, 1, 6))
+    pay[0, 0, 2:4] = [-ratio, ratio]
+    pay[1, 0, 4:6] = [-1.0, 1.0]
+    simulator = oee.FiniteMDP(rows, pay, [0.5, 0.5, 0, 0, 0, 0], 0.9)
+    plan = oee.plan_data_collection(
+        oee.Problem(simulator, oee.Transitions([0], [0], [2])),
+        np.zeros(6, dtype=int),
+        n=1,
+        model="simulator",
+    )
+    assert plan.next_pairs[0] == first

@@ -199,6 +199,28 @@ def test_units_of_rewards_and_places_do_not_matter(seed, scale, shift):
     assert_allclose(two.values.data, one.values.data, rtol=1e-5)
 
 
+@settings(max_examples=12)
+@given(st.integers(0, 10**6), st.sampled_from([0.3, 0.9]))
+def test_shaping_of_rewards_does_not_matter(seed, discount):
+    """Rewards with a potential, r + gamma Phi(s') - Phi(s), leave zeta [1].
+
+    r + gamma V(s') changes by Phi(s) alone, which is the same in the whole row.
+
+    [1] Ng, Harada and Russell, Policy invariance under reward transformations, 1999.
+    """
+    simulator = garnet(seed, n_states=10, discount=discount)
+    phi = np.random.default_rng(seed).normal(size=10)
+    shaped = simulator.with_rewards(
+        dense(simulator)[1] + discount * phi[None, None, :] - phi[:, None, None]
+    )
+    policy = random_policy(np.random.default_rng(seed + 1), simulator)
+    log = drawn(worse(simulator, policy), 8.0, seed)
+    one, two = (
+        oee.transition_ratio(log, mdp, values_of=policy) for mdp in (simulator, shaped)
+    )
+    assert_allclose(two.values.data, one.values.data, rtol=1e-5)
+
+
 def test_places_are_the_states_numbers_where_there_are_none():
     plain = line()
     log = drawn(more_often(line(), 0.4), 20.0, 0)

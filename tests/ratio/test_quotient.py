@@ -86,6 +86,36 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     assert_allclose(boxed.details["share_at_the_box"], low + high)
 
 
+@pytest.mark.parametrize("box", [(0.5, 1.5), (0.01, 1.2), (0.8, 10.0)])
+def test_the_box_holds_both_betas(box):
+    """beta(s, a) too, so that the quotient lies in [nu / mu, mu / nu] (eq. 4.4)."""
+    counts = COUNTS + 1.0
+    # a pair that the simulator's data have rarely, and one that they have often
+    counts[0] *= 50.0
+    counts[1] /= 50.0
+    lower, upper = box
+    data = oee.sample_episodes(SIMULATOR, POLICY, 200, 8, seed=1)
+    found = fit(
+        counts,
+        method="ratio_of_ratios",
+        simulator_data=data,
+        lower=lower,
+        upper=upper,
+    )
+    moves, pairs = found.details["beta"]
+    for beta in (moves, pairs):
+        assert beta.ratio.min() >= lower * (1 - 1e-12)
+        assert beta.ratio.max() <= upper * (1 + 1e-12)
+    n_pairs = counts.sum(axis=1)
+    q = data.counts(3, 2).sum(axis=1)
+    free = oee.density_ratio(n_pairs, q).ratio
+    assert free.min() < lower or free.max() > upper  # the box binds
+    own = oee.density_ratio(n_pairs, q, lower=lower, upper=upper, toward=1.0)
+    assert_allclose(pairs.ratio, own.ratio, rtol=1e-9)
+    assert found.values.data.min() >= lower / upper * (1 - 1e-9)
+    assert found.values.data.max() <= upper / lower * (1 + 1e-9)
+
+
 def test_data_of_the_simulator():
     """Exact occupancies over the log's longest episode under its estimated policy;
     samples of the log's size, by the seed.

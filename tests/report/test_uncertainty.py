@@ -35,10 +35,14 @@ def even(n, seed=0, rows=16, recorded=TARGET):
     return Problem(SIMULATOR, oee.sample_transitions(recorded, share, n, seed=seed))
 
 
-def sentences(problem, **options):
+def sentences_of(problem, policy, **options):
     return oee.evaluate(
-        problem, {"mine": MINE}, estimators=["oee"], **options
+        problem, {"mine": policy}, estimators=["oee"], **options
     ).uncertainty.sentences
+
+
+def sentences(problem, **options):
+    return sentences_of(problem, MINE, **options)
 
 
 def corrected(value):
@@ -372,6 +376,47 @@ def test_values_are_in_the_reports_unit():
         assert small[name] == pytest.approx(0.1 * row[name], rel=1e-12), name
     for name in ("coverage", "largest_weight", "one_step_distance"):
         assert small[name] == row[name], name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_test_of_all_transitions_together_by_hand(seed):
+    """The score of a tilt along log P over its standard deviation under P."""
+    rng = np.random.default_rng(seed)
+    p = rng.dirichlet([1.0, 2.0, 4.0], size=12)
+    simulator = oee.FiniteMDP(
+        np.pad(p, ((0, 0), (0, 9))).reshape(12, 1, 12), np.ones(12), [1] + [0] * 11, 0.9
+    )
+    # each row a little flatter, which no single row shows
+    flatter = p**0.75 / (p**0.75).sum(axis=1, keepdims=True)
+    counts = np.array([rng.multinomial(40, row) for row in flatter])
+    state, following = np.repeat(np.argwhere(counts + 1), (counts).ravel(), axis=0).T
+    log = oee.Transitions(state, np.zeros_like(state), following)
+    z = score = variance = 0.0
+    for row, n in zip(p, counts, strict=True):
+        phi = np.log(row) - row @ np.log(row)
+        score += (n - n.sum() * row) @ phi
+        variance += n.sum() * (row @ phi**2)
+    z = score / math.sqrt(variance)
+    assert abs(z) > 3.5
+    said = sentences_of(Problem(simulator, log), np.zeros(12, dtype=int))[0]
+    assert f"(z = {z:.1f})" in said
+
+
+def test_differences_are_in_the_reports_unit():
+    policies = {"good": GOOD, "mine": MINE, "bad": BAD}
+    plain, scaled = (
+        oee.evaluate(even(400), policies, estimators=["oee"], normalized=x).comparison()
+        for x in (False, True)
+    )
+    assert [row["policy"] for row in plain] == [row["policy"] for row in scaled]
+    for row, small in zip(plain, scaled, strict=True):
+        for name in ("value", "lower", "upper", "less_by", "less_by_lower"):
+            if row[name] is None:
+                assert small[name] is None
+            else:
+                assert small[name] == pytest.approx(0.1 * row[name], rel=1e-9), name
+        assert row["probability_best"] == small["probability_best"]
+    assert plain[1]["less_by_upper"] > plain[1]["less_by"]
 
 
 def test_a_certain_simulator_has_nothing_to_learn():

@@ -1,5 +1,7 @@
 """Sampled returns: the bits, the sums along recorded paths, and exact moments."""
 
+import math
+
 import numpy as np
 import pytest
 from helpers import dense, printed, random_mdp, random_policy, rngs, survival_chain
@@ -280,6 +282,33 @@ def test_episodes_follow_initial_policy_and_transitions():
     transitions, rewards = dense(mdp)
     assert (transitions[log.state, log.action, log.next_state] > 0).all()
     assert_allclose(log.reward, rewards[log.state, log.action, log.next_state])
+
+
+def test_no_random_number_is_used_twice_along_an_episode():
+    """All steps are independent: two of them choose alike by chance alone.
+
+    128 successors are equally likely: a step's choice is that of another step in one
+    of 128 episodes. The return in base 2 shows the path of rollouts.
+    """
+    n = 4000
+    even = oee.FiniteMDP(
+        np.full((128, 1, 128), 1 / 128), np.zeros(128), [1 / 128] * 128, 0.9
+    )
+    log = oee.sample_episodes(even, np.ones((128, 1)), n, 40, seed=3)
+    path = np.column_stack([log.state.reshape(n, 40), log.next_state[39::40]])
+    alike = np.array(
+        [(path[:, i] == path[:, j]).sum() for i in range(41) for j in range(i)]
+    )
+    # binomial of n and 1/128: 5.5 standard deviations in any of 820 pairs
+    assert alike.max() < n / 128 + 5.5 * math.sqrt(n / 128)
+    assert alike.min() > n / 128 - 5.5 * math.sqrt(n / 128)
+    bits = oee.FiniteMDP(np.full((2, 1, 2), 0.5), [0.0, 1.0], [0.5, 0.5], 0.5)
+    returns = oee.sample_returns(bits, np.ones((2, 1)), n, 48, seed=3).returns
+    steps = (returns * 2.0**47).astype(np.int64)
+    digits = (steps[:, None] >> np.arange(48)) & 1
+    assert (digits @ 2.0 ** -np.arange(47, -1, -1) == returns).all()
+    z = np.corrcoef(digits.T) * math.sqrt(n)
+    assert np.abs(z[np.triu_indices(48, 1)]).max() < 5.5
 
 
 def test_episodes_end_where_they_are_terminal():

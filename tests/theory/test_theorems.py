@@ -526,6 +526,19 @@ def test_the_corrected_theorem_2(rng, horizon):
     assert left <= right + 1e-12 * largest**2 / (1 - target.discount) ** 2
 
 
+@given(
+    st.integers(1, 40), st.floats(0.0, 1.0), st.floats(0.0, 5.0), st.floats(0.0, 2.0)
+)
+def test_the_corrected_bound_by_hand(horizon, discount, largest, error):
+    """2 T R^2 error^2 sum_t t gamma^(2 t), t = 1..T."""
+    total = math.fsum(t * discount ** (2 * t) for t in range(1, horizon + 1))
+    assert_allclose(
+        theory.corrected_value_error_bound(horizon, largest, discount, error=error),
+        2 * horizon * largest**2 * error**2 * total,
+        rtol=1e-12,
+    )
+
+
 def test_the_corrected_bound_in_the_horizon():
     """Its root times (1 - g)^1.5 stays put at T = 5 / (1 - g): no exponential."""
     roots = [
