@@ -171,7 +171,7 @@ def per_decision_moments(
         shifts = as_readonly(np.broadcast_to(given, shape))
         out, local = _moments.backward(walk, discounts, shifts, False, sources)
     out[1] += start / q
-    return _combine(walk, discounts, out, local, 0.0, q)
+    return _combine(walk, discounts, out, local, None, q)
 
 
 def _merged_backward(
@@ -205,7 +205,7 @@ def trajectory_moments(
         walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources
     )
     if not self_normalized:
-        return _combine(walk, discounts, out, local, 0.0, 1.0)
+        return _combine(walk, discounts, out, local, None, 1.0)
     begin = np.flatnonzero(walk.initial)
     weight, total = (dot(walk.initial[begin], x[begin]) for x in out[:2])
     if weight == 0.0:
@@ -261,12 +261,13 @@ def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
 
 
 def _combine(
-    walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float
+    walk: Walk, discounts: Array, out: Array, local: Array, p: float | None, q: float
 ) -> Moments:
     """Combine the kernel's output into the moments of X = p L + q R.
 
-    -Cov(L, X) stands as the ``bias``. The variance is split by step and state where the
-    kernel kept what each step adds (``local``).
+    -Cov(L, X) stands as the ``bias``. If ``p`` is None, X has no L, and the bias is 0.
+    The variance is split by step and state where the kernel kept what each step adds
+    (``local``).
     """
     # values of the other states must not count, since they may be infinite
     begin = np.flatnonzero(walk.initial)
@@ -277,16 +278,18 @@ def _combine(
     off = q * (mean_r - total)
     variance = q * q * var_r
     bias = 0.0
-    if p != 0.0:
+    # p is 0 where a self-normalised mean is, and the bias need not be
+    if p is not None:
         off += p * (mean_l - length)
         variance += p * p * var_l + 2.0 * p * q * cov
         bias = -dot(initial, (mean_l - length) * off + p * var_l + q * cov)
     start = dot(initial, off**2)
-    mean = q * total + p * length
+    level = 0.0 if p is None else p
+    mean = q * total + level * length
     whole = start + max(dot(initial, variance), 0.0)
     if len(local) == 0:
         return Moments(mean, whole, bias)
-    shares = _variance_shares(walk, discounts, local, p, q)
+    shares = _variance_shares(walk, discounts, local, level, q)
     by_step = np.concatenate([[start], shares.sum(axis=1)])
     return Moments(mean, whole, bias, by_step, shares.sum(axis=0))
 
@@ -348,7 +351,7 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
     out = np.zeros((5, n))
     out[1] = mean
     out[4] = np.maximum(variance, 0.0)
-    result = _combine(walk, np.zeros(0), out, np.zeros((0, 1, n)), 0.0, 1.0)
+    result = _combine(walk, np.zeros(0), out, np.zeros((0, 1, n)), None, 1.0)
     if not sources:
         return result
     reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x

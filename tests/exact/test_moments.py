@@ -553,3 +553,46 @@ def test_weights_beyond_floats_are_reported(how):
             simulator, zeta, [[1.0]] * 2, horizon=3, **how
         )
     assert np.isnan(found.variance)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("case", ["actions", "transitions", "steps"])
+def test_a_self_normalised_bias_is_kept_where_the_mean_is_exactly_0(case, kind):
+    """[31] A sum r + b in place of r moves every estimate by b, and its bias by 0."""
+
+    def found(shift):
+        if case == "actions":
+            mdp = oee.FiniteMDP([[[1.0], [1.0]]], [[shift - 1, shift + 1]], [1.0], 0.5)
+            return oee.policy_is_moments(
+                mdp,
+                [[0.75, 0.25]],
+                [[0.5, 0.5]],
+                kind=kind,
+                horizon=1,
+                self_normalized=True,
+            )
+        if case == "transitions":  # the ratio leads to 0 and 1 evenly
+            rewards = [[[shift - 1, shift + 1]]] * 2
+            ratio = sparse.csr_array([[2.0, 2.0 / 3.0]] * 2)
+            horizon = 1
+        else:  # a state's reward at t = 1, 2: only then has the weight a spread
+            rewards = [shift - 1, shift + 1]
+            ratio = sparse.csr_array([[2.0, 2.0 / 3.0]] * 2)
+            horizon = 3
+        mdp = oee.FiniteMDP([[[0.25, 0.75]]] * 2, rewards, [0.5, 0.5], 0.5)
+        return oee.weighted_return_moments(
+            mdp,
+            ratio,
+            [[1.0]] * 2,
+            kind=kind,
+            horizon=horizon,
+            self_normalized=True,
+        )
+
+    zero = found(0.0)
+    moved = found(3.0)
+    assert abs(zero.mean) < 1e-15
+    assert moved.mean > 1.0
+    assert abs(moved.bias) > 1e-3
+    assert_allclose(zero.bias, moved.bias, rtol=1e-12)
+    assert_allclose(zero.variance, moved.variance, rtol=1e-12)
