@@ -550,7 +550,7 @@ def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
     if log.reward is None or known is None:
         return ""
     distance = np.abs(log.reward - known)
-    bad = np.flatnonzero(distance > 1e-6 * max(1.0, float(np.abs(known).max())))
+    bad = np.flatnonzero(distance > 1e-6 * float(np.abs(known).max()))
     if bad.size == 0:
         return ""
     k = int(distance.argmax())

@@ -306,7 +306,7 @@ def refuse_impossible(
     """
     value = estimate.value
     bounds = [abs(bound) for bound in (lowest, highest) if np.isfinite(bound)]
-    rounding = 1e-9 * max([1.0, *bounds])
+    rounding = 1e-9 * max(bounds, default=0.0)
     nearest = float(np.clip(value, lowest, highest))
     if not np.isfinite(value) or abs(nearest - value) <= rounding:
         return estimate

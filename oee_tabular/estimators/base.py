@@ -19,6 +19,7 @@ from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostic
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import ReweightedModel, reweight
 from oee_tabular.exact.system import exponent
+from oee_tabular.exact.values import largest_reward
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -343,7 +344,10 @@ class TabularEstimator:
         if WEIGHTLESS in estimate.findings:
             return estimate
         warnings = from_diagnostics(
-            estimate.diagnostics, estimate.value, estimate.standard_error
+            estimate.diagnostics,
+            estimate.value,
+            estimate.standard_error,
+            largest_reward(problem.model),
         )
         return replace(estimate, findings=(*warnings, *estimate.findings))
 

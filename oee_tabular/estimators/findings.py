@@ -19,7 +19,7 @@ MAX_ROW_SUM_ERROR = 1e-3  # a probability
 MIN_WEIGHTED = 10.0  # an effective sample size
 MIN_WEIGHTED_SHARE = 0.05  # an effective sample size, as a share of the episodes
 MAX_GAP = 1e-6  # nats
-MAX_ERROR_BOUND = 1e-6  # a share of the value
+MAX_ERROR_BOUND = 1e-6  # a share of the value, or of the largest reward
 # the kind of finding about values that rest on a few episodes, whose rows a short
 # report leaves out
 FEW_WEIGHTED = "weights"
@@ -117,11 +117,11 @@ def no_value(status: str, value: float) -> Finding:
 
 
 def from_diagnostics(
-    facts: Mapping[str, Any], value: float, error: float | None
+    facts: Mapping[str, Any], value: float, error: float | None, size: float = 0.0
 ) -> Findings:
     """Return the findings that the diagnostics of an estimate lead to.
 
-    ``value`` and ``error`` are those of the estimate.
+    ``value`` and ``error`` are those of the estimate; ``size`` is the largest reward.
     """
     findings = list(_low_coverage(facts, error))
     has_source = facts.get("standard_error_of") is not None
@@ -160,7 +160,7 @@ def from_diagnostics(
             )
         )
     bound = facts.get("error_bound", 0.0)
-    if bound > MAX_ERROR_BOUND * max(1.0, abs(value)):
+    if bound > MAX_ERROR_BOUND * max(size, abs(value)):
         findings.append(
             Finding(
                 "linear algebra",

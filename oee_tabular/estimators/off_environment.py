@@ -408,7 +408,7 @@ def threshold(s: float, se_fit: float) -> float:
     if not se_fit > 0.0:
         return THRESHOLDS[-1]
     logs = np.log(VARIANCE_RATIOS)
-    return float(np.interp(2.0 * np.log(max(s, 1e-300) / se_fit), logs, THRESHOLDS))
+    return float(np.interp(2.0 * np.log(max(s / se_fit, 1e-300)), logs, THRESHOLDS))
 
 
 def _maximum_likelihood_value(

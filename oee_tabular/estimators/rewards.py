@@ -9,6 +9,7 @@ import numpy as np
 
 from oee_tabular._sparse import align, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular.data import TransitionCounts, Transitions
+from oee_tabular.exact.values import largest_reward
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.typing import Array
@@ -105,7 +106,8 @@ def conflict(
     expected = simulator_rewards(simulator, log)
     far = np.where(np.abs(least - expected) > np.abs(most - expected), least, most)
     gap = np.abs(far - expected)
-    differ = np.flatnonzero(gap > TOLERANCE * max(1.0, float(np.abs(expected).max())))
+    size = max(largest_reward(simulator), float(np.abs(far).max()))
+    differ = np.flatnonzero(gap > TOLERANCE * size)
     if differ.size == 0:
         return None
     moves = np.unique(

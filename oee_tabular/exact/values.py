@@ -214,6 +214,15 @@ def policy_rewards(model: Model, policy: Array) -> Array:
     )
 
 
+def largest_reward(model: Model) -> float:
+    """Return the largest magnitude of a reward, of r(s, a, s') where there are some.
+
+    Tolerances are shares of it, so that the unit of the rewards does not matter.
+    """
+    data = model.rewards if model.reward_data is None else model.reward_data
+    return float(_system.largest_magnitude(np.ravel(data)))
+
+
 @suggest_keywords
 def evaluate_policy(
     model: Model, policy: PolicyLike, *, horizon: int | None = None

@@ -14,6 +14,7 @@ from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy
 from oee_tabular.exact.reweighted import with_rows
+from oee_tabular.exact.values import largest_reward
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
@@ -123,8 +124,7 @@ def require_squares(model: FiniteMDP) -> None:
 
     What multiplies two values would be nan.
     """
-    rewards = model.rewards if model.reward_data is None else model.reward_data
-    largest = float(np.abs(rewards).max())
+    largest = largest_reward(model)
     if largest > MAX_REWARD:
         raise ValueError(
             f"the simulator's rewards must be at most {MAX_REWARD:g}, so that"

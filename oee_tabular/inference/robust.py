@@ -44,6 +44,7 @@ from oee_tabular import _checks
 from oee_tabular._parallel import dot
 from oee_tabular.exact import evaluate_policy, state_values
 from oee_tabular.exact.system import policy_system, recurrent_states
+from oee_tabular.exact.values import largest_reward
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -54,7 +55,7 @@ RadiusKind: TypeAlias = Literal["independent", "anytime"]
 MAX_SWEEPS = 100  # five to ten are usual
 # sweeps that do not halve the residual, after which it is taken for rounding
 MAX_STALLED_SWEEPS = 8
-RESIDUAL_TOLERANCE = 1e-12  # of the largest value
+RESIDUAL_TOLERANCE = 1e-12  # of the largest value or reward
 # relative, and absolute: by so much the KL of counts and box may exceed the radius
 RADIUS_TOLERANCES = (1e-9, 1e-15)
 
@@ -132,6 +133,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         value = dot(model.initial, values)
         return Extreme(value, value, 0.0, steps)
     values = state_values(evidence.fitted, policy)
+    size = largest_reward(model)
     residual = np.inf
     rise = 0.0
     sweeps = 0
@@ -143,7 +145,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         last = residual
         residual = float(np.abs(backed - values).max())
         stalled = stalled + 1 if residual >= 0.5 * last else 0
-        tolerance = RESIDUAL_TOLERANCE * max(1.0, float(np.abs(values).max()))
+        tolerance = RESIDUAL_TOLERANCE * max(size, float(np.abs(values).max()))
         if residual <= tolerance or stalled >= MAX_STALLED_SWEEPS:
             break
         values = evaluate_policy(evidence.with_rows(p), policy).values

@@ -25,6 +25,7 @@ from oee_tabular.estimators.names import (
     named_estimators,
 )
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
+from oee_tabular.exact.values import largest_reward
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
@@ -44,7 +45,7 @@ from oee_tabular.report.uncertainty import (
 )
 from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 
-# of the largest action value: a smaller loss is rounding
+# of the largest action value or reward: a smaller loss is rounding
 OPTIMALITY_TOLERANCE = 1e-9
 MAX_FIGURES = 3  # of the worst policies, that a note gives
 
@@ -238,7 +239,8 @@ def evaluate(
         uncertainty = find_intervals(
             problem, named, level, known, guaranteed=guaranteed, quick=quick
         )
-        results = _choose_intervals(results, uncertainty, known, level, scale)
+        size = largest_reward(problem.model)
+        results = _choose_intervals(results, uncertainty, known, level, scale, size)
         front = {
             name: result.estimate for name, result in first_results(results).items()
         }
@@ -420,7 +422,8 @@ def _is_optimal(model: Model, policy: Array) -> bool:
     values = action_values(model, policy)
     lost = values.max(axis=1) - (policy * values).sum(axis=1)
     reached = occupancy(model, policy).sum(axis=1) > 0
-    tolerance = OPTIMALITY_TOLERANCE * max(1.0, float(np.abs(values).max()))
+    largest = max(largest_reward(model), float(np.abs(values).max()))
+    tolerance = OPTIMALITY_TOLERANCE * largest
     return bool(lost[reached].max() <= tolerance)
 
 
@@ -513,6 +516,7 @@ def _choose_intervals(
     known: Premises,
     level: float,
     scale: float,
+    size: float,
 ) -> list[Result]:
     """Give every estimate the interval to quote, and a value inside of it."""
     shared = known.estimators
@@ -520,7 +524,7 @@ def _choose_intervals(
     for result in results:
         key = SHARED if result.estimator in shared else LIKELIHOOD
         likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
-        estimate = choose_interval(result.estimate, likelihood, level, scale)
+        estimate = choose_interval(result.estimate, likelihood, level, scale, size=size)
         chosen.append(replace(result, estimate=estimate))
     return chosen
 

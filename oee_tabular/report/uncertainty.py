@@ -301,7 +301,12 @@ def descending_key(value: float) -> float:
 
 
 def choose_interval(
-    estimate: Estimate, likelihood: Interval | None, level: float, scale: float = 1.0
+    estimate: Estimate,
+    likelihood: Interval | None,
+    level: float,
+    scale: float = 1.0,
+    *,
+    size: float = 1.0,
 ) -> Estimate:
     """Give an estimate the interval to quote, a value inside of it, and its findings.
 
@@ -311,11 +316,12 @@ def choose_interval(
     ``level``, or value ± a normal quantile times the standard error, where that
     includes what matters: not where ``measured`` is below ``MIN_RECORDED_SHARE``, and
     not where the variance is unknown. ``diagnostics["interval_method"]`` names the
-    interval. ``scale`` multiplies values in the findings.
+    interval. ``scale`` multiplies values in the findings. ``size`` is the largest
+    reward, of which rounding is a share.
     """
     is_corrected = estimate.model_value is not None and not math.isnan(estimate.value)
     if is_corrected and likelihood is not None and likelihood.status == "ok":
-        chosen = _put_inside(estimate, likelihood, scale)
+        chosen = _put_inside(estimate, likelihood, scale, size)
     else:
         chosen = _with_own_interval(estimate, level)
     lacks_interval = chosen.interval is None and (
@@ -361,13 +367,15 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     )
 
 
-def _put_inside(estimate: Estimate, likelihood: Interval, scale: float) -> Estimate:
+def _put_inside(
+    estimate: Estimate, likelihood: Interval, scale: float, size: float
+) -> Estimate:
     """Give an estimate the likelihood interval, and a value inside of it."""
     lower = likelihood.lower
     upper = likelihood.upper
     value = estimate.value
     facts = estimate.diagnostics | {"interval_method": likelihood.method}
-    tolerance = END_TOLERANCE * max(1.0, abs(lower), abs(upper))
+    tolerance = END_TOLERANCE * max(size, abs(lower), abs(upper))
     if lower - tolerance <= value <= upper + tolerance:
         return replace(
             estimate, interval=(min(lower, value), max(upper, value)), diagnostics=facts

@@ -30,7 +30,7 @@ from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.theory.theorem_1 import Sides, check_box, check_ratio
-from oee_tabular.typing import Array, PolicyLike, RealArrayLike, SparseLike
+from oee_tabular.typing import Array, BoolArray, PolicyLike, RealArrayLike, SparseLike
 
 # a ratio as ``reweight`` takes it
 RatioLike: TypeAlias = SparseLike | TransitionRatio
@@ -243,6 +243,15 @@ def check_pair(
     return model
 
 
+def _agree(found: Array, wanted: Array) -> BoolArray:
+    """Return where two rewards are the same but for rounding.
+
+    Rounding is a share of either, or of the largest: the unit does not matter.
+    """
+    largest = float(np.abs(wanted).max(initial=0.0))
+    return np.isclose(wanted, found, rtol=1e-9, atol=1e-12 * largest)
+
+
 def _check_rewards(target: FiniteMDP, model: Model) -> None:
     """Check that the rewards have the same form and the same values.
 
@@ -259,9 +268,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
                 f"must have the target's form of rewards, {forms[0]}; it has"
                 f" {forms[1]}",
             )
-        bad = np.argwhere(
-            ~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12)
-        )
+        bad = np.argwhere(~_agree(model.rewards, target.rewards))
         if bad.size:
             s, a = bad[0]
             wanted = target.rewards[s, a]
@@ -274,9 +281,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
     found, shared = align(
         csr_on_pattern(model.transitions, model.reward_data), target.transitions
     )
-    wrong = np.flatnonzero(
-        shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12)
-    )
+    wrong = np.flatnonzero(shared & ~_agree(found, target.reward_data))
     if wrong.size:
         k = int(wrong[0])
         where = name_transition(target.transitions, k, target.n_actions, target.names)

@@ -82,9 +82,15 @@ SILENT_UP_TO = {
     ),
     "small values": (
         lambda x: of(0.1, error_bound=x),
-        1e-6,
-        2e-6,
-        "is accurate only to 2.0e-06.",
+        1e-7,
+        2e-7,
+        "is accurate only to 2.0e-07.",
+    ),
+    "values that are small beside the rewards": (
+        lambda x: findings.from_diagnostics({"error_bound": x}, 1e-9, None, 3.0),
+        3e-6,
+        4e-6,
+        "is accurate only to 4.0e-06.",
     ),
     "truncation": (
         lambda x: findings.truncation(3, 8, x, 10.0, None),

@@ -280,7 +280,7 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
             f" {target.initial[s]:g} there, {simulator.initial[s]:g} in the simulator",
         )
     paid = simulator.with_transitions(target.transitions).rewards
-    tolerance = 1e-9 * max(1.0, float(np.abs(paid).max()))
+    tolerance = 1e-9 * float(np.abs(paid).max())
     bad = np.argwhere(~(np.abs(paid - target.rewards) <= tolerance))
     if len(bad):
         s, a = (int(i) for i in bad[0])
