@@ -327,7 +327,8 @@ class ImportanceSampling(TabularEstimator):
         It is J_target where the behaviour policy takes every action that the policy
         takes, as it does by default; otherwise the rewards of the paths that it can
         make, self-normalised over their weight. Where ended episodes are dropped it is
-        sum_t gamma^t E[rho r_t] / E[rho 1{not ended at t}].
+        sum_t gamma^t E[rho r_t] / E[rho 1{not ended at t}], where every episode has a
+        first step, also one that starts in an absorbing state.
         """
         target = population.target
         behavior = population.behavior
@@ -349,7 +350,10 @@ class ImportanceSampling(TabularEstimator):
         going = ~target.absorbing()
         taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)
         rewards = reached @ (taken * target.rewards).sum(axis=1)
-        alive = reached[:, going] @ taken.sum(axis=1)[going]
+        weight = taken.sum(axis=1)
+        alive = reached[:, going] @ weight[going]
+        # an episode that starts in an absorbing state has one step all the same
+        alive[0] = reached[0] @ weight
         kept = alive > 1e-300
         rewards *= target.discount ** np.arange(steps, dtype=np.float64)
         return float(np.sum(rewards[kept] / alive[kept]))

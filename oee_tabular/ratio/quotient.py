@@ -233,10 +233,9 @@ def simulator_weights(
         weighted = simulator.with_discount(1.0 if discount is None else discount)
         share = occupancy(weighted, behavior, horizon=steps, of="transition")
         terminal = given.rows.spread(simulator.absorbing()[given.rows.state])
-        if terminal.all():
-            return share.data
-        # Logs stop in terminal states.
-        return np.where(terminal, 0.0, share.data)
+        # Logs stop in terminal states, unless all episodes start there.
+        going = np.where(terminal, 0.0, share.data)
+        return going if going.any() else share.data
     n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
     generator = _checks.generator(given.seed)
     drawn = episodes_holding(simulator, behavior, n, steps, seed=generator).draw(

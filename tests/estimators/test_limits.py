@@ -454,3 +454,95 @@ def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(
         ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal
     ).limit(simulator, target, policy, data_distribution=share, horizon=HORIZON)
     assert_allclose(found, own, rtol=1e-9)
+
+
+# ---- episodes that start in an absorbing state, or end at once
+
+LIVE = {
+    "goes on": (
+        [
+            [[0.2, 0.3, 0.5, 0], [0.1, 0.4, 0.2, 0.3]],
+            [[0, 0, 0.6, 0.4], [0.5, 0, 0, 0.5]],
+        ],
+        [
+            [[0.3, 0.2, 0.5, 0], [0.2, 0.3, 0.1, 0.4]],
+            [[0, 0, 0.5, 0.5], [0.4, 0, 0, 0.6]],
+        ],
+    ),
+    "ends at once": (
+        [[[0, 0, 0.5, 0.5], [0, 0, 0.2, 0.8]], [[0, 0, 0.6, 0.4], [0, 0, 0.5, 0.5]]],
+        [[[0, 0, 0.4, 0.6], [0, 0, 0.3, 0.7]], [[0, 0, 0.5, 0.5], [0, 0, 0.4, 0.6]]],
+    ),
+}
+STARTS = {
+    "some": [0.3, 0.2, 0.3, 0.2],
+    "most": [0.1, 0.0, 0.5, 0.4],
+    "one": [0.5, 0.0, 0.5, 0.0],
+    "all": [0.0, 0.0, 0.5, 0.5],
+    "none": [0.5, 0.5, 0.0, 0.0],
+}
+OF_ENDS = {
+    **{
+        f"{kind}, {'self-normalised, ' if by_weight else ''}{ragged}": (
+            ImportanceSampling(kind=kind, self_normalized=by_weight, ragged=ragged)
+        )
+        for kind in ("per_decision", "trajectory")
+        for by_weight in (False, True)
+        for ragged in ("pad", "zero")
+    },
+    "estimated behaviour": ImportanceSampling(
+        self_normalized=True, ragged="zero", behavior="estimated"
+    ),
+    "OffEnvironment": OffEnvironment(),
+    "ratio of ratios": OffEnvironment("ratio_of_ratios"),
+    "joint": OffEnvironment("joint"),
+    **{
+        f"rollouts, {weighting}, {by_weight}": OffEnvironment(
+            evaluation="monte_carlo",
+            weighting=weighting,
+            self_normalized=by_weight,
+            n_rollouts=20_000,
+        )
+        for weighting in ("per_decision", "trajectory")
+        for by_weight in (False, True)
+    },
+    "ModelBased": ModelBased(),
+    "DoublyRobust": DoublyRobust(),
+    "DoublyRobust, rollouts": DoublyRobust(data="rollouts", n_rollouts=20_000),
+    "DoublyRobust, episodes": DoublyRobust(data="episodes"),
+    "DoublyRobust, normalised": DoublyRobust(data="episodes", self_normalized=True),
+    "Marginalized": Marginalized(),
+}
+
+
+def ended_pair(live, start, form, discount):
+    """A simulator and a target with two live states and two ends."""
+    target, simulator = np.zeros((2, 4, 2, 4))
+    target[:2], simulator[:2] = LIVE[live]
+    for p in (target, simulator):
+        p[2, :, 2] = p[3, :, 3] = 1.0
+    rewards = np.random.default_rng(form).integers(1, 5, (4, 2, 4)[:form]).astype(float)
+    rewards[2:] = 0.0
+    made = oee.FiniteMDP(target, rewards, STARTS[start], discount)
+    return made.with_transitions(simulator), made
+
+
+@pytest.mark.parametrize("live", LIVE)
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize(("discount", "horizon"), [(1.0, 2), (0.8, 4), (0.6, None)])
+def test_limits_of_episodes_that_start_ended(live, start, discount, horizon):
+    """Such an episode has one step, without reward, in every estimator."""
+    form = 1 + (len(live) + len(start) + (horizon or 0)) % 3
+    simulator, target = ended_pair(live, start, form, discount)
+    behavior = np.array([[0.6, 0.4], [0.3, 0.7], [0.5, 0.5], [0.9, 0.1]])
+    policy = np.array([[0.4, 0.6], [0.6, 0.4], [0.1, 0.9], [0.5, 0.5]])
+    log = oee.sample_episodes(target, behavior, 20_000, horizon or 50, seed=3)
+    problem = oee.Problem(simulator, log, horizon=horizon)
+    for name, estimator in OF_ENDS.items():
+        found = estimator(problem, policy, seed=1)
+        limit = estimator.limit(
+            simulator, target, policy, behavior_policy=behavior, horizon=horizon
+        )
+        # quotients have no error, and that of rollouts leaves out the log's noise
+        allowed = 5.0 * (found.standard_error or 0.0) + 0.02 * (1.0 + abs(limit))
+        assert abs(found.value - limit) <= allowed, name
