@@ -382,7 +382,8 @@ def compare_policies(
     n_bootstrap : int, default 400
         The number of resamples, for "bootstrap".
     seed : Seed, default 0
-        The seed of the draws and of the resamples.
+        The seed of the draws and of the resamples. They depend on the seed and the
+        policies' names, and not on their order.
 
     Returns
     -------
@@ -439,8 +440,10 @@ def compare_policies(
     require_squares(problem.model)
     number = _checks.positive_integer(n_draws, "n_draws")
     _checks.require_memory(4.0 * number * len(named), "n_draws", n_draws)
+    # in the order of the names, so that the draws do not depend on the order given
+    names = sorted(named)
     evidences = [
-        gather(problem, policy, lower_ratio, upper_ratio) for policy in named.values()
+        gather(problem, named[name], lower_ratio, upper_ratio) for name in names
     ]
     values = np.array(
         [policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences]
@@ -461,7 +464,9 @@ def compare_policies(
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
     best = _probability_best(draws)
-    order = np.argsort(-values, kind="stable")
+    # of equals the one that was given first
+    given = list(named)
+    order = np.lexsort(([given.index(name) for name in names], -values))
     values = values[order]
     covariance = covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)
@@ -472,7 +477,7 @@ def compare_policies(
     outside = (down[:, None] + up[None, :]) * (1.0 - np.eye(len(values)))
     difference = values[:, None] - values[None, :]
     return Comparison(
-        tuple(list(named)[i] for i in order),
+        tuple(names[i] for i in order),
         values,
         np.sqrt(variance),
         difference,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from hashlib import blake2b
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -114,8 +116,10 @@ def evaluate(
         The level of all intervals, in (0, 1).
     seed : int or sequence of int, optional
         The seed of the estimators that sample. The same seed gives the same report.
-        Every pair of a policy and an estimator has its own random stream. None draws a
-        new seed. A ``numpy.random.Generator`` or ``SeedSequence`` is refused.
+        Every pair of a policy and an estimator has its own random stream, which depends
+        on the seed and on the two names, and not on their order or on the other pairs.
+        None draws a new seed. A ``numpy.random.Generator`` or ``SeedSequence`` is
+        refused.
     normalized : bool, default False
         Whether tables, pictures and files of the report multiply values by
         (1 - discount). This is an error at discount 1.
@@ -476,18 +480,29 @@ def _run_estimators(
     results = []
     for i, (name, policy) in enumerate(policies.items()):
         is_from_log = is_best_in_log(problem, policy)
-        for j, (label, estimator) in enumerate(chosen.items()):
+        for label, estimator in chosen.items():
             _progress.report_step(
                 f"{label} of “{name}” (policy {i + 1} of {len(policies)})"
             )
             run = as_estimator(estimator, f"estimators[{label!r}]")
-            estimate = run(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
+            stream = _checks.seed_sequence(seed, _stream_key(name, label))
+            estimate = run(problem, policy, seed=stream)
             if is_from_log and estimate.is_from_log and estimate.status == "ok":
                 estimate = replace(
                     estimate, findings=(MADE_FROM_LOG, *estimate.findings)
                 )
             results.append(Result(name, label, estimate))
     return results
+
+
+def _stream_key(policy: str, estimator: str) -> tuple[int, ...]:
+    """Return the key of a pair's random stream: a digest of its two names.
+
+    So a row stays the same whatever stands before it, or is left out.
+    """
+    text = json.dumps([policy, str(estimator)]).encode()
+    words = np.frombuffer(blake2b(text, digest_size=16).digest(), dtype="<u4")
+    return tuple(words.tolist())
 
 
 def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]]:

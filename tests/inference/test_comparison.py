@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers import Dense, table_of, tiny
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize, stats
 
 import oee_tabular as oee
@@ -307,3 +307,33 @@ def test_changes_of_rows_by_roots_of_their_own(episodes):
             pytest.approx(phat[j]),
         )
     assert found.tested == tested
+
+
+@pytest.mark.parametrize("method", ["delta", "bootstrap"])
+def test_the_order_of_policies_changes_no_number(method):
+    """Close policies, whose chances of being the best depend on the draws."""
+    pair = oee.testing.case("ragged")
+    problem = pair.problem(40, seed=0)
+    policies = {
+        f"{share:g}": oee.mix(pair.policy, pair.behavior, share)
+        for share in (0.9, 1.0, 0.95, 0.97)
+    }
+    plain, turned = (
+        oee.inference.compare_policies(
+            problem, given, method=method, n_bootstrap=20, n_draws=500
+        )
+        for given in (policies, dict(sorted(policies.items(), reverse=True)))
+    )
+    assert plain.names == turned.names
+    for name in ("values", "covariance", "lower", "upper", "probability_best"):
+        assert_array_equal(getattr(plain, name), getattr(turned, name))
+
+
+def test_of_equal_policies_the_first_given_stands_first():
+    pair = oee.testing.case("ragged")
+    problem = pair.problem(40, seed=0)
+    for names in (["b", "a", "c"], ["c", "b", "a"]):
+        made = oee.inference.compare_policies(
+            problem, dict.fromkeys(names, pair.policy)
+        )
+        assert list(made.names) == names

@@ -502,3 +502,78 @@ def test_numbers():
 
 def test_the_names_that_type_checkers_know_are_those_that_evaluate_takes():
     assert get_args(EstimatorName) == (*NAMED, *ALIASES)
+
+
+# ---- random streams
+
+SAMPLERS = {
+    "rollouts": OffEnvironment(evaluation="monte_carlo", n_rollouts=20),
+    "oracle": oee.estimators.Oracle(TARGET, evaluation="monte_carlo", n_rollouts=20),
+    "ratio of ratios": OffEnvironment("ratio_of_ratios"),
+    "robust rollouts": oee.estimators.DoublyRobust(data="rollouts", n_rollouts=20),
+    "blend": oee.estimators.Magic(n_bootstrap=10),
+}
+THREE = {**POLICIES, "random": oee.uniform_policy(TARGET)}
+
+
+def rows_by_name(problem, policies, estimators, seed=5):
+    report = oee.evaluate(
+        problem, policies, estimators=estimators, seed=seed, quick=True
+    )
+    return {
+        (row.policy, row.estimator): (row.estimate.value, row.estimate.standard_error)
+        for row in report.results
+    }
+
+
+def test_a_random_stream_is_that_of_the_names_and_not_of_the_place(problem):
+    plain = rows_by_name(problem, THREE, SAMPLERS)
+    assert len({value for value, _ in plain.values()}) == len(plain)
+    backward = rows_by_name(
+        problem, dict(reversed(THREE.items())), dict(reversed(SAMPLERS.items()))
+    )
+    assert backward == plain
+    for name, policy in THREE.items():
+        for label, estimator in SAMPLERS.items():
+            alone = rows_by_name(problem, {name: policy}, {label: estimator})
+            assert alone == {(name, label): plain[name, label]}
+
+
+def test_another_name_or_seed_is_another_stream(problem):
+    bold = POLICIES["bold"]
+    sampler = {"rollouts": SAMPLERS["rollouts"]}
+    values = [
+        rows_by_name(problem, {name: bold}, sampler, seed)[name, "rollouts"]
+        for name, seed in [
+            ("bold", 5),
+            ("bold ", 5),
+            ("bøld", 5),
+            ("", 5),
+            ("bold", 6),
+            ("bold", [5, 6]),
+        ]
+    ]
+    assert len(set(values)) == len(values)
+    # a name and a label do not run together
+    labels = {"b": SAMPLERS["rollouts"], "ab": SAMPLERS["rollouts"]}
+    found = rows_by_name(problem, {"a": bold, "": bold}, labels)
+    assert found["a", "b"] != found["", "ab"]
+
+
+def test_policies_without_a_name_have_the_stream_of_the_name_that_is_shown(problem):
+    bold, cautious = POLICIES["bold"], POLICIES["cautious"]
+    sampler = {"rollouts": SAMPLERS["rollouts"]}
+    one = rows_by_name(problem, bold, sampler)
+    assert one == rows_by_name(problem, {"policy": bold}, sampler)
+    two = rows_by_name(problem, [bold, cautious], sampler)
+    names = {"policy 1": cautious, "policy 0": bold}
+    assert two == rows_by_name(problem, names, sampler)
+
+
+def test_the_order_of_policies_changes_no_number_of_a_contest(problem):
+    one, two = (
+        oee.report.contest(problem, policies)
+        for policies in (THREE, dict(reversed(THREE.items())))
+    )
+    assert one.comparison() == two.comparison()
+    assert one.headline == two.headline
