@@ -257,7 +257,10 @@ class Diagnostics(dict[str, Any]):
     # the computation
     method = Diagnostic(str, "text", "The method of the linear solver.")
     error_bound = Diagnostic(
-        float, "value", "A bound on the error of the linear solve."
+        float,
+        "value",
+        "A bound on the rounding of the value: of the linear solve, or of a horizon's"
+        " recursion.",
     )
     gap = Diagnostic(
         float, "nats", "The duality gap of the convex program that gave the ratio."

@@ -19,6 +19,7 @@ MAX_ROW_SUM_ERROR = 1e-3  # a probability
 MIN_WEIGHTED = 10.0  # an effective sample size
 MIN_WEIGHTED_SHARE = 0.05  # an effective sample size, as a share of the episodes
 MAX_GAP = 1e-6  # nats
+SMALLEST_NORMAL = 2.0**-1022
 MAX_ERROR_BOUND = 1e-6  # a share of the value, or of the largest reward
 # the kind of finding about values that rest on a few episodes, whose rows a short
 # report leaves out
@@ -160,12 +161,13 @@ def from_diagnostics(
             )
         )
     bound = facts.get("error_bound", 0.0)
-    if bound > MAX_ERROR_BOUND * max(size, abs(value)):
+    # without rewards a bound is that of numbers that are subnormal
+    if bound > max(MAX_ERROR_BOUND * max(size, abs(value)), SMALLEST_NORMAL):
         findings.append(
             Finding(
                 "linear algebra",
                 bound,
-                "the linear solve is accurate only to {}.",
+                "the value is accurate only to {}.",
                 f"{bound:.1e}",
             )
         )

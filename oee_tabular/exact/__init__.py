@@ -18,7 +18,7 @@ Each formula is followed by the module that computes it::
     V = r_pi + gamma P_pi V,    Q(s, a) = r(s, a) + gamma sum_{s'} P V(s')  (eq. 4.1)
         values
     V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0
-        finite (horizon T)
+        finite, backward (horizon T)
     V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]
         planning
     dJ / dP(s' | s, a) = d(s, a) [r(s, a, s') + gamma V(s')] / (1 - gamma)
@@ -41,7 +41,8 @@ systems the sum ``|x - x*|_1``, for the numbers as they are stored::
     |x - x*| <= |M^-1| (|b - M x| + rounding)
     |M^-1|_inf <= max(h) / c    for any h > 0 with M h >= c > 0,
 
-h = 1 and c = 1 - gamma where rows sum to 1. Where no such h exists (discount 1 without
+h = 1 and c = 1 - gamma where rows sum to 1. With a horizon it bounds the roundings of
+the recursion (``backward``). Where no such h exists (discount 1 without
 absorption, unnormalised kernels with a spectral radius of 1 / gamma or more) the sum
 diverges, and the functions raise ``DivergentKernelError``. An optimal policy is
 certified by exact evaluation: no action is better by more than rounding.

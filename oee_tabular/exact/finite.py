@@ -19,7 +19,11 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
-from oee_tabular.exact._system import average_rewards, transpose_rows
+from oee_tabular.exact._system import (
+    average_rewards,
+    largest_magnitude,
+    transpose_rows,
+)
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     Kernel,
@@ -120,7 +124,7 @@ def values_to_go(
     """
     out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
     rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
-    sweep(policy_system(model, policy).kernel, rewards, horizon, out)
+    sweep(policy_system(model, policy).kernel, rewards, horizon, out, np.zeros(0))
     return out if is_each else out[:1]
 
 
@@ -243,10 +247,11 @@ def dot(x, y, size):
 
 
 @njit(cache=True)
-def sweep(kernel, rewards, horizon, out):
+def sweep(kernel, rewards, horizon, out, sizes):
     """Compute V_t = r + gamma K V_{t+1}, V_T = 0, for t = T-1 .. 0.
 
-    V_t stands in row t % len(out) of ``out``, which begins with zeros.
+    V_t stands in row t % len(out) of ``out``, which begins with zeros. Where ``sizes``
+    (T + 1,) has room, it takes the largest magnitude of each V_t.
     """
     k = len(out)
     for t in range(horizon - 1, -1, -1):
@@ -258,6 +263,8 @@ def sweep(kernel, rewards, horizon, out):
             np.uint64(0),
             np.uint64(len(rewards)),
         )
+        if len(sizes) > 0:
+            sizes[t] = largest_magnitude(out[t % k])
 
 
 @njit(cache=True)

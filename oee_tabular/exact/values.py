@@ -20,7 +20,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import check_csr
-from oee_tabular.exact import _system, finite, solvers
+from oee_tabular.exact import _system, backward, finite, solvers
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     Kernel,
@@ -194,9 +194,9 @@ class PolicyValues:
     value : float
         J = mu_0 . V.
     error_bound : float
-        A bound on the largest error ``|V - V*|_inf``, from the residual of the linear
-        system. It is 0 for a finite horizon, where the sums are carried out as they
-        stand.
+        A bound on the largest error ``|V - V*|_inf``: from the residual of the linear
+        system, or with a horizon from the roundings of the recursion. The latter bounds
+        the error of J as well.
     method : str
         The solver.
     """
@@ -266,8 +266,9 @@ def evaluate_policy(
 
     Notes
     -----
-    With a horizon the recursion goes backward over all states. Costs O(T nnz) with a
-    horizon, one sparse solve without. Values beyond the largest float are infinite, and
+    With a horizon the recursion goes backward over all states, and the bound is that of
+    its roundings, some n T spacings of the largest V_t, n the entries of a row. Costs
+    O(T nnz) with a horizon, one sparse solve without. Values beyond the largest float are infinite, and
     so is the error bound then.
 
     Examples
@@ -287,8 +288,7 @@ def evaluate_policy(
     pi = check_policy(policy, model, horizon=steps)
     if steps is None:
         return infinite_values(model, pi)
-    values = _backward(model, pi, steps)
-    bound = 0.0 if np.isfinite(values).all() else np.inf
+    values, bound = backward.bounded_values(model, pi, steps)
     return PolicyValues(
         values, finite.initial_mean(model, values), bound, "backward recursion"
     )
@@ -338,26 +338,6 @@ def finite_values(solution: PolicyValues) -> Array:
     if isfinite(solution.error_bound):
         return solution.values
     return np.asarray(warn_if_not_finite(solution.values))
-
-
-def _backward(model: Model, policy: Array, steps: int) -> Array:
-    """Compute V (S,) for the last ``steps`` steps of a policy by backward recursion."""
-    if policy.ndim == 2:
-        return np.asarray(finite.values_to_go(model, policy, steps, is_each=False)[0])
-    value = np.zeros(model.n_states)
-    # a policy of T steps is followed from step T - steps on
-    for act in policy[len(policy) - steps :][::-1]:
-        value = np.einsum("sa,sa->s", act, backup(model, value))
-    return value
-
-
-def backup(model: Model, value: Array) -> Array:
-    """Compute Q(s, a) = r(s, a) + gamma sum_s' K(s' | s, a) V(s'), of shape (S, A)."""
-    following = np.empty(model.rewards.size)
-    _system.multiply(Kernel(*rows_of(model.csr), 1.0), False, value, following)
-    return np.asarray(
-        model.rewards + model.discount * following.reshape(model.rewards.shape)
-    )
 
 
 @suggest_keywords
@@ -474,7 +454,11 @@ def state_values(
     [0.25, 1.25]
     """
     require_model(mdp)
-    return finite_values(evaluate_policy(mdp, policy, horizon=horizon))
+    if horizon is None:
+        return finite_values(evaluate_policy(mdp, policy))
+    steps = horizon_length(horizon, mdp, policy)
+    pi = check_policy(policy, mdp, horizon=steps)
+    return np.asarray(warn_if_not_finite(backward.last_values(mdp, pi, steps)))
 
 
 @suggest_keywords
@@ -521,6 +505,7 @@ def action_values(
     require_model(mdp)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
-        return backup(mdp, state_values(mdp, policy))
+        return backward.back_up(mdp, state_values(mdp, policy))
     pi = check_policy(policy, mdp, horizon=steps)
-    return np.asarray(warn_if_not_finite(backup(mdp, _backward(mdp, pi, steps - 1))))
+    values = backward.last_values(mdp, pi, steps - 1)
+    return np.asarray(warn_if_not_finite(backward.back_up(mdp, values)))

@@ -78,7 +78,7 @@ SILENT_UP_TO = {
         lambda x: of(error_bound=x),
         9e-6,
         2e-5,
-        "the linear solve is accurate only to 2.0e-05.",
+        "the value is accurate only to 2.0e-05.",
     ),
     "small values": (
         lambda x: of(0.1, error_bound=x),

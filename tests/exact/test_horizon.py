@@ -1,5 +1,7 @@
 """Finite horizons: light cone, forward sums and plain sweeps equal the definition."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from helpers import (
@@ -348,3 +350,100 @@ def test_without_any_weight_nothing_is_left_to_divide_by(kind):
         0.0,
         0.0,
     )
+
+
+# ---- the bound on rounding, against rational numbers
+
+
+def exact_backward(model, policy, steps):
+    """V_0 and J for the numbers as they are stored, as fractions."""
+    gamma = Fraction(float(model.discount))
+    n_actions = model.n_actions
+    rows = []
+    for row in range(model.transitions.shape[0]):
+        part = slice(model.transitions.indptr[row], model.transitions.indptr[row + 1])
+        entries = zip(
+            model.transitions.indices[part].tolist(),
+            map(Fraction, model.transitions.data[part].tolist()),
+            strict=True,
+        )
+        rows.append(list(entries))
+    value = [Fraction(0)] * model.n_states
+    for t in range(steps - 1, -1, -1):
+        act = policy if policy.ndim == 2 else policy[t]
+        value = [
+            sum(
+                Fraction(float(act[s, a]))
+                * (
+                    Fraction(float(model.rewards[s, a]))
+                    + gamma * sum(p * value[j] for j, p in rows[s * n_actions + a])
+                )
+                for a in range(n_actions)
+            )
+            for s in range(model.n_states)
+        ]
+    start = map(Fraction, model.initial.tolist())
+    return value, sum(m * v for m, v in zip(start, value, strict=True))
+
+
+def ill_conditioned(rng, size):
+    """An MDP with huge rewards that cancel, on average or from step to step."""
+    n_states = int(rng.integers(1, 7))
+    n_actions = int(rng.integers(1, 4))
+    transitions = rng.dirichlet(np.full(n_states, 0.6), (n_states, n_actions))
+    rewards = rng.normal(size=(n_states, n_actions))
+    huge = size * rng.choice([-1.0, 0.0, 1.0], (n_states, n_actions))
+    if rng.random() < 0.5:  # pay with one hand and take with the other
+        huge[:, -1] = -huge[:, :-1].sum(axis=1)
+    discount = float(rng.choice([0.3, 0.9, 1.0]))
+    return oee.FiniteMDP(
+        transitions, rewards + huge, rng.dirichlet(np.ones(n_states)), discount
+    )
+
+
+@settings(max_examples=100)
+@given(
+    rngs, st.integers(1, 12), st.booleans(), st.sampled_from([1.0, 1e8, 1e16, 1e-80])
+)
+def test_the_error_bound_of_a_horizon_holds_and_is_no_exaggeration(
+    rng, steps, stationary, size
+):
+    model = ill_conditioned(rng, size)
+    shape = (model.n_states,) if stationary else (steps, model.n_states)
+    policy = rng.dirichlet(np.ones(model.n_actions), shape)
+    found = exact.evaluate_policy(model, policy, horizon=steps)
+    values, value = exact_backward(model, policy, steps)
+    distance = max(
+        abs(Fraction(v) - w) for v, w in zip(found.values.tolist(), values, strict=True)
+    )
+    assert distance <= Fraction(found.error_bound)
+    assert abs(Fraction(found.value) - value) <= Fraction(found.error_bound)
+    largest = float(np.abs(model.rewards).max())
+    weight = sum(model.discount**t for t in range(steps))
+    assert 0.0 < found.error_bound <= 1e3 * np.finfo(float).eps * weight * largest
+
+
+def test_the_error_bound_shows_where_rewards_cancel():
+    """What is left of 1e17 - 1e17 is rounding, or the small rewards are lost."""
+    rewards = [[1e17], [188.0 - 1e17], [0.0]]
+    rows = [[[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]]]
+    chain = oee.FiniteMDP(rows, rewards, [1.0, 0.0, 0.0], 1.0)
+    found = exact.evaluate_policy(chain, np.ones((3, 1)), horizon=2)
+    assert abs(found.value - 188.0) <= found.error_bound
+    assert 1.0 < found.error_bound < 1e3
+
+
+def test_the_error_bound_of_kernels_of_any_sum_grows_with_them():
+    model = exact.reweight(survival(2), sparse.csr_array(np.full((2, 2), 1.5)))
+    bounds = [
+        exact.evaluate_policy(model, np.ones((2, 1)), horizon=t).error_bound
+        for t in (1, 10, 20)
+    ]
+    assert bounds[0] < 1e-14
+    assert 1.3**10 < bounds[2] / bounds[1] < 1e3
+    over = exact.evaluate_policy(model, np.ones((2, 1)), horizon=5000)
+    assert over.error_bound == np.inf
+
+
+def survival(n):
+    return oee.FiniteMDP(np.full((n, 1, n), 1.0 / n), np.ones(n), np.full(n, 1 / n), 1)
