@@ -30,12 +30,12 @@ from oee_tabular.exact import (
     Model,
     policy_value,
     reweight,
-    state_values,
     transition_gradient,
 )
 from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact.values import values_or_zeros
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -459,7 +459,8 @@ class EpisodeTerms:
         lengths = episodes.lengths
         n = len(lengths)
         steps = int(lengths.max())
-        v, q = _model_values(model, policy, problem.horizon, steps)
+        first = episodes.log.state[episodes.rows[episodes.starts[:-1]]]
+        v, q = _model_values(model, policy, problem.horizon, steps, first)
         t = np.arange(steps)[:, None]
         place = episodes.starts[:-1] + np.minimum(t, lengths - 1)
         weights = np.vstack([np.ones((1, n)), episodes.weights(problem, policy)[place]])
@@ -561,11 +562,21 @@ def _values_of_the_rest(
 
 
 def _model_values(
-    model: Model, policy: Array, horizon: int | None, steps: int
+    model: Model,
+    policy: Array,
+    horizon: int | None,
+    steps: int,
+    first: IntArray | None = None,
 ) -> tuple[Array, Array]:
-    """Compute V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
+    """Compute V (steps + 1, S) and Q (steps, S, A) of the model at each step.
+
+    ``first`` are states where episodes begin besides those of the model.
+    """
     if horizon is None:
-        v = following = state_values(model, policy)[None]
+        starts = model.initial > 0.0
+        if first is not None:
+            starts[first] = True
+        v = following = values_or_zeros(model, policy, starts)[None]
     else:
         v = values_to_go(model, policy, horizon)[: steps + 1]
         following = v[1:]

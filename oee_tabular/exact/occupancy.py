@@ -16,9 +16,10 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import gradient_to_horizon, visits
+from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
-from oee_tabular.exact.values import policy_rewards, solve, state_values
+from oee_tabular.exact.values import policy_rewards, solve, values_or_zeros
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -128,8 +129,14 @@ def infinite_visits(model: Model, policy: Array) -> Array:
 
     At discount 1 it is 0 in states that the policy never leaves, where V is 0, and a
     DivergentKernelError is raised where the policy is not absorbed in states with
-    reward 0.
+    reward 0. What it never reaches does not matter.
     """
+    visits, _ = solve_where_reached(lambda act: _visits_of(model, act), model, policy)
+    return visits
+
+
+def _visits_of(model: Model, policy: Array) -> Array:
+    """Compute the visits of a policy whose rows are 0 in states that are left out."""
     system = policy_system(model, policy)
     recurrent = np.zeros(model.n_states, dtype=np.bool_)
     if model.discount == 1.0:
@@ -183,7 +190,8 @@ def transition_gradient(
         The model whose V and rewards are used; the result is aligned with its
         ``transitions.data``. None means ``model``.
     values : ndarray of shape (S,), optional
-        V of that model, where it is known. It is not used with a horizon.
+        V of that model, where it is known, and nan elsewhere. It is not used with a
+        horizon.
     time : ndarray of shape (S, A), optional
         ``occupancy(model, policy)``, where it is known. It is used below discount 1
         without a horizon.
@@ -231,7 +239,7 @@ def transition_gradient(
     valued = model if values_of is None else values_of
     lengths = np.diff(valued.transitions.indptr)
     if steps is None:
-        known = state_values(valued, pi) if values is None else values
+        known = values_or_zeros(valued, pi) if values is None else values
         gradient = (model.discount * known)[valued.transitions.indices]
         if valued.reward_data is not None:
             gradient += valued.reward_data
@@ -239,6 +247,10 @@ def transition_gradient(
             visited = infinite_visits(model, pi)
         else:
             visited = time.sum(axis=1) / (1.0 - model.discount)
-        gradient *= np.repeat((visited[:, None] * pi).reshape(-1), lengths)
+        weight = np.repeat((visited[:, None] * pi).reshape(-1), lengths)
+        gradient *= weight
+        # V may be nan in states that are never reached
+        if values is not None and np.isnan(values).any():
+            gradient[weight == 0.0] = 0.0
         return np.asarray(gradient)
     return gradient_to_horizon(model, valued, pi, steps)

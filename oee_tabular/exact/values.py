@@ -11,7 +11,7 @@ which solver is used, and where the norm of the inverse comes from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -21,6 +21,7 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, backward, finite, solvers
+from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     Kernel,
@@ -34,7 +35,14 @@ from oee_tabular.exact.system import (
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
-from oee_tabular.typing import Array, Csr, PolicyLike, RealArrayLike, SparseLike
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Csr,
+    PolicyLike,
+    RealArrayLike,
+    SparseLike,
+)
 
 
 @dataclass(frozen=True)
@@ -254,9 +262,9 @@ def evaluate_policy(
     Raises
     ------
     ValueError
-        If an argument is bad; without a horizon, if the sum does not exist (discount 1
-        and a policy that is not absorbed in states without reward, or a kernel whose
-        spectral radius times the discount is not below 1).
+        If an argument is bad; without a horizon, if the sum from the start does not
+        exist (discount 1 and a policy that is not absorbed in states without reward, or
+        a kernel whose spectral radius times the discount is not below 1).
 
     See Also
     --------
@@ -268,7 +276,9 @@ def evaluate_policy(
     -----
     With a horizon the recursion goes backward over all states, and the bound is that of
     its roundings, some n T spacings of the largest V_t, n the entries of a row. Costs
-    O(T nnz) with a horizon, one sparse solve without. Values beyond the largest float are infinite, and
+    O(T nnz) with a horizon, one sparse solve without. Only what the policy reaches from
+    the start matters to J: if the infinite sum diverges in a state that it never
+    reaches, ``values`` is nan in all states that it never reaches. Values beyond the largest float are infinite, and
     so is the error bound then.
 
     Examples
@@ -287,7 +297,7 @@ def evaluate_policy(
     steps = None if horizon is None else horizon_length(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if steps is None:
-        return infinite_values(model, pi)
+        return reached_values(model, pi)
     values, bound = backward.bounded_values(model, pi, steps)
     return PolicyValues(
         values, finite.initial_mean(model, values), bound, "backward recursion"
@@ -300,7 +310,8 @@ def infinite_values(
     """Compute V and J of the infinite sum for a policy that has been checked.
 
     The bound on the error counts the rounding of the policy's kernel and rewards.
-    ``near`` (S,) is an approximation of V to begin with.
+    ``near`` (S,) is an approximation of V to begin with. A DivergentKernelError is
+    raised where the sum diverges in any state.
     """
     rewards, largest = _system.average_rewards(
         np.ascontiguousarray(policy), model.rewards
@@ -320,6 +331,44 @@ def infinite_values(
         solution.error_bound,
         solution.method,
     )
+
+
+def reached_values(
+    model: Model,
+    policy: Array,
+    *,
+    only_on_support: bool = False,
+    starts: BoolArray | None = None,
+) -> PolicyValues:
+    """Compute V and J of the infinite sum, where need be in reached states alone.
+
+    V is nan in the states that the policy does not reach from the start, if the sum
+    diverges in one of them. ``reach`` says what counts.
+    """
+    solution, reached = solve_where_reached(
+        lambda act: infinite_values(model, act),
+        model,
+        policy,
+        only_on_support=only_on_support,
+        starts=starts,
+    )
+    if reached is None:
+        return solution
+    return replace(solution, values=np.where(reached, solution.values, np.nan))
+
+
+def values_or_zeros(
+    model: Model, policy: Array, starts: BoolArray | None = None
+) -> Array:
+    """Compute V (S,) of the infinite sum, 0 where that diverges and is never reached.
+
+    That is for what weighs V by visits, which are 0 there on the support of the model.
+    """
+    solution = reached_values(model, policy, only_on_support=True, starts=starts)
+    values = solution.values
+    if isfinite(solution.error_bound):
+        return np.where(np.isnan(values), 0.0, values)
+    return np.asarray(warn_if_not_finite(values))
 
 
 def warn_if_not_finite(values: Any) -> Any:
@@ -437,7 +486,8 @@ def state_values(
     Raises
     ------
     ValueError
-        As in ``evaluate_policy``.
+        As in ``evaluate_policy``, and if the sum does not exist in some state, even if
+        the policy never reaches it; ``evaluate_policy`` has the other states' values.
 
     See Also
     --------
@@ -455,7 +505,7 @@ def state_values(
     """
     require_model(mdp)
     if horizon is None:
-        return finite_values(evaluate_policy(mdp, policy))
+        return finite_values(infinite_values(mdp, check_policy(policy, mdp)))
     steps = horizon_length(horizon, mdp, policy)
     pi = check_policy(policy, mdp, horizon=steps)
     return np.asarray(warn_if_not_finite(backward.last_values(mdp, pi, steps)))
@@ -487,7 +537,7 @@ def action_values(
     Raises
     ------
     ValueError
-        As in ``evaluate_policy``.
+        As in ``state_values``.
 
     See Also
     --------

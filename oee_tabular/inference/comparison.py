@@ -466,7 +466,7 @@ def compare_policies(
     best = _probability_best(draws)
     # of equals the one that was given first
     given = list(named)
-    order = np.lexsort(([given.index(name) for name in names], -values))
+    order = np.lexsort((np.array([given.index(name) for name in names]), -values))
     values = values[order]
     covariance = covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)

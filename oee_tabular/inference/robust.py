@@ -42,9 +42,9 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._parallel import dot
-from oee_tabular.exact import evaluate_policy, state_values
+from oee_tabular.exact.reach import reached_states
 from oee_tabular.exact.system import policy_system, recurrent_states
-from oee_tabular.exact.values import largest_reward
+from oee_tabular.exact.values import largest_reward, values_or_zeros
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -132,7 +132,12 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
             values = back_up(values, policy if policy.ndim == 2 else policy[t])
         value = dot(model.initial, values)
         return Extreme(value, value, 0.0, steps)
-    values = state_values(evidence.fitted, policy)
+    # at discount 1 values need not exist in states that no model reaches
+    left_out = np.zeros(model.n_states, dtype=np.bool_)
+    if model.discount == 1.0:
+        left_out = ~reached_states(model, policy)
+    values = values_or_zeros(evidence.fitted, policy)
+    values[left_out] = 0.0
     size = largest_reward(model)
     residual = np.inf
     rise = 0.0
@@ -141,6 +146,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     while sweeps < MAX_SWEEPS:
         sweeps += 1
         backed = back_up(values, policy)
+        backed[left_out] = 0.0
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last = residual
         residual = float(np.abs(backed - values).max())
@@ -148,7 +154,8 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         tolerance = RESIDUAL_TOLERANCE * max(size, float(np.abs(values).max()))
         if residual <= tolerance or stalled >= MAX_STALLED_SWEEPS:
             break
-        values = evaluate_policy(evidence.with_rows(p), policy).values
+        values = values_or_zeros(evidence.with_rows(p), policy)
+        values[left_out] = 0.0
     value = dot(model.initial, values)
     beyond = rise / (1.0 - model.discount) if model.discount < 1.0 else 0.0
     return Extreme(value, value + sign * beyond, residual, sweeps)
@@ -201,11 +208,14 @@ def require_end(evidence: Evidence) -> None:
     """
     model = evidence.model
     rows = evidence.rows
-    system = policy_system(model, evidence.policy)
-    rewards = (evidence.policy * model.rewards).sum(axis=1)
+    # what the policy never reaches does not matter
+    reached = reached_states(model, evidence.policy)
+    policy = np.where(reached[:, None], evidence.policy, 0.0)
+    system = policy_system(model, policy)
+    rewards = (policy * model.rewards).sum(axis=1)
     # which refuses a simulator whose own sum diverges
-    inside = ~recurrent_states(system, rewards, model.names)
-    taken = evidence.policy.reshape(-1) > 0
+    inside = reached & ~recurrent_states(system, rewards, model.names)
+    taken = policy.reshape(-1) > 0
     while inside.any():
         kept = inside[rows.arrival]
         leaving = rows.sums(np.where(kept, 0.0, evidence.low))

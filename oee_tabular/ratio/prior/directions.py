@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular.exact import state_values
+from oee_tabular.exact.values import values_or_zeros
 from oee_tabular.exceptions import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
@@ -280,11 +281,17 @@ def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
 def values_in(
     simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None
 ) -> list[Array]:
-    """Compute V_pi in the simulator of each policy for which it exists."""
+    """Compute V_pi in the simulator of each policy for which it exists.
+
+    In states that the policy never reaches it is 0 if it does not exist in all of them.
+    """
     values = []
     for policy in policies:
         try:
-            level = state_values(simulator, policy, horizon=horizon)
+            if horizon is None:
+                level = values_or_zeros(simulator, policy)
+            else:
+                level = state_values(simulator, policy, horizon=horizon)
         except DivergentKernelError:
             continue
         if np.isfinite(level).all():
