@@ -414,3 +414,36 @@ def test_two_steps_that_never_succeeded_are_both_raised():
         assert_allclose(
             (found.lower, found.upper), (0.0, 0.9 * p * p), rtol=1e-6, atol=1e-15
         )
+
+
+@pytest.mark.parametrize("resample", ["transitions", "episodes"])
+def test_a_pair_that_a_resample_misses_is_as_simulated(resample):
+    """One transition of a pair, of ten: (9/10)^10 = 35% of the resamples miss it.
+
+    Its value is then the simulator's 1/2, and the log's 1 otherwise.
+    """
+    # 0: the pair in question; 1: nothing to learn; 2: the reward; 3: none; 4: the end
+    rows = np.zeros((5, 1, 5))
+    rows[0, 0, [2, 3]] = 0.5
+    rows[1:, 0, 4] = 1.0
+    model = oee.FiniteMDP(
+        rows, [0.0, 0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0], 1.0
+    )
+    log = oee.Transitions(
+        [0] + [1] * 9,
+        [0] * 10,
+        [2] + [4] * 9,
+        episode=np.arange(10),
+        terminated=[0] * 10,
+    )
+    found = oee.interval(
+        oee.Problem(model, log, horizon=2),
+        np.ones((5, 1)),
+        method="bootstrap",
+        resample=resample,
+        n_bootstrap=200,
+        seed=0,
+    )
+    assert (found.lower, found.upper) == (0.5, 1.0)
+    # the deviation of 1/2 or 1, with a chance of 0.35
+    assert found.diagnostics["standard_error"] == pytest.approx(0.24, abs=0.02)
