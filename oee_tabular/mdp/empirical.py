@@ -17,13 +17,15 @@ sample that is wanted takes 2.2 steps.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _progress
 from oee_tabular._sparse import check_csr, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
@@ -35,6 +37,15 @@ from oee_tabular.mdp.naming import (
     initial_distribution,
     renumber,
     to_plain,
+)
+from oee_tabular.mdp.stepping import (
+    count_actions,
+    count_observations,
+    read_integer,
+    require_environment,
+    require_observation,
+    reset_environment,
+    step_environment,
 )
 from oee_tabular.mdp.support import require_log
 from oee_tabular.typing import Array, Csr, IntArray, Seed
@@ -154,21 +165,41 @@ def _resolve(
 
 
 def env_arguments(
-    env: Any, samples_per_pair: object, seed: Seed, max_steps: object
+    env: Any,
+    samples_per_pair: object,
+    seed: Seed,
+    max_steps: object,
+    names: tuple[Any, Any],
 ) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP``, without the discount, from an environment.
 
-    ``FiniteMDP.from_env`` explains these.
+    ``FiniteMDP.from_env`` explains these. ``names`` are of states and of actions.
     """
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
-    n_actions = _check_environment(env)
-    explorer = Explorer(env, n_actions, n_wanted, _checks.generator(seed))
+    require_environment(env)
+    n_actions = count_actions(env)
+    space = getattr(env, "observation_space", None)
+    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be discrete (cut a continuous one into cells first); it is {space}",
+        )
+    size = count_observations(env)
+    actions = None
+    if names[1] is not None:
+        actions = check_names(names[1], "action_names", n_actions)
+    states = None
+    if names[0] is not None:
+        rule = "a sequence of texts or tuples"
+        states = _checks.collection(names[0], "state_names", rule)
+        states = check_names(states, "state_names", size or len(states))
+    explorer = Explorer(env, n_actions, n_wanted, _checks.generator(seed), size)
     explorer.explore(limit)
-    n_states, state_names, number = _number_states(env, list(explorer.states))
-    names = Names(state_names)
+    n_states, state_names, number = _number_states(explorer, states)
+    called = Names(state_names, actions)
     if explorer.lacking:
-        _warn_of_lacking_pairs(explorer, number, names, limit)
+        _warn_of_lacking_pairs(explorer, number, called, limit)
     state, action, following, reward, terminated = (
         np.array(c) for c in zip(*explorer.transitions, strict=True)
     )
@@ -184,48 +215,40 @@ def env_arguments(
         samples,
         number[explorer.starts],
         None,
-        names,
+        called,
         (n_states, n_actions),
         None,
         None,
     )
 
 
-def _check_environment(env: Any) -> int:
-    """Return the number of actions of an environment that must be discrete."""
-    if not hasattr(env, "step") or not hasattr(env, "reset"):
-        hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
-        raise ArgumentError(
-            "env", f"must be a Gymnasium environment; got {type(env).__name__}{hint}"
-        )
-    space = getattr(env, "observation_space", None)
-    actions = getattr(env, "action_space", None)
-    if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
-        raise ArgumentError(
-            "env.action_space", f"must be Discrete, from 0; it is {actions}"
-        )
-    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
-        raise ArgumentError(
-            "env.observation_space",
-            f"must be discrete (cut a continuous one into cells first); it is {space}",
-        )
-    return int(getattr(actions, "n", 0))
-
-
 def _number_states(
-    env: Any, met: list[Any]
+    explorer: Explorer, names: tuple[Name, ...] | None
 ) -> tuple[int, tuple[Name, ...] | None, IntArray]:
     """Return the number of states, their names, and the number of each state met.
 
-    Observations that are integers are numbers of states; others become names.
+    Observations that are integers are numbers of states; others become names. Given
+    ``names`` order them.
     """
-    if all(isinstance(state, int) and state >= 0 for state in met):
-        space = getattr(env, "observation_space", None)
-        n_states = max(int(getattr(space, "n", 0)), 1 + max(met))
-        return n_states, None, np.array(met)
-    names = check_names(_sort_states(met), "the environment's observations", len(met))
-    places = {name: k for k, name in enumerate(names)}
-    return len(met), names, np.array([places[state] for state in met])
+    met = list(explorer.states)
+    if explorer.is_numbered:
+        n_states = max(explorer.size or 0, 1 + max(met))
+        if names is not None and len(names) != n_states:
+            # the observations are not Discrete, so that their number was not known
+            if len(names) < n_states:
+                raise ArgumentError(
+                    "state_names",
+                    f"must have {n_states} names, for the environment has the state"
+                    f" {max(met)}; it has {len(names)}",
+                )
+            n_states = len(names)
+        return n_states, names, np.array(met)
+    own = check_names(_sort_states(met), "the environment's observations", len(met))
+    if names is None:
+        names = own
+    order = renumber(np.arange(len(own)), own, names, len(names), "state_names")
+    places = dict(zip(own, order.tolist(), strict=True))
+    return len(names), names, np.array([places[state] for state in met])
 
 
 def _warn_of_lacking_pairs(
@@ -398,6 +421,7 @@ MIN_PLAN_AGE = 64
 # The share of random steps among those that a plan decides: an environment that is not
 # Markov cannot lead it in circles.
 RANDOM_SHARE = 0.05
+STEPS_OF_A_REPORT = 1000  # between two looks at the progress
 MAX_CUTS = 10  # episodes truncated in a state, before it counts as out of reach
 RESET = -1  # the action of leaving an episode; the next state where it terminates
 
@@ -417,12 +441,23 @@ class Explorer:
         The states in which an episode can act.
     lacking : set of tuple
         The pairs (state, action) of open states with too few samples.
+    size : int or None
+        The number of states where observations are Discrete.
+    is_numbered : bool
+        Whether observations are numbers, and not names.
     """
 
     def __init__(
-        self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator
+        self,
+        env: Any,
+        n_actions: int,
+        n_wanted: int,
+        generator: np.random.Generator,
+        size: int | None,
     ) -> None:
         self.env = env
+        self.size = size
+        self.is_numbered = True
         self.n_actions = n_actions
         self.n_wanted = n_wanted
         self.generator = generator
@@ -438,34 +473,50 @@ class Explorer:
         self._best: list[int] = []
         self._values: list[list[float]] = []
         self._plan_step = 0
+        self._seen: object = None  # the observation that was made last
 
     def explore(self, max_steps: int) -> None:
         """Step until no pair lacks samples, or ``max_steps`` times."""
         seed: int | None = int(self.generator.integers(2**31))
         is_over = True
         state = 0
-        while len(self.transitions) < max_steps:
-            if self.transitions and not self.lacking:
-                break
-            is_first = is_over
-            if is_over:
-                state = self._number(self.env.reset(seed=seed)[0])
-                seed = None
-                self.starts.append(state)
-                self._set_open(state, True)
-            action = self._choose(state, is_first)
-            if action == RESET:
-                is_over = True
-            else:
-                state, is_over = self._step(state, action)
+        with _progress.progress_bar("sampling", unit=" pairs") as bar:
+            while len(self.transitions) < max_steps:
+                if self.transitions and not self.lacking:
+                    break
+                is_first = is_over
+                if is_over:
+                    seen = reset_environment(self.env, seed)
+                    state = self._number(seen, "env.reset")
+                    seed = None
+                    self.starts.append(state)
+                    self._set_open(state, True)
+                action = self._choose(state, is_first)
+                if action == RESET:
+                    is_over = True
+                else:
+                    state, is_over = self._step(state, action)
+                if len(self.transitions) % STEPS_OF_A_REPORT == 0:
+                    self._report(bar)
+
+    def _report(self, bar: Any) -> None:
+        """Show how many of the reached pairs have their samples."""
+        n_pairs = self.n_actions * len(self.open)
+        n_done = n_pairs - len(self.lacking)
+        bar.total = n_pairs
+        bar.update(n_done - bar.n)
+        _progress.report_step(
+            f"sampling: {n_done} of {n_pairs} reached state-action pairs have"
+            f" {self.n_wanted} samples after {len(self.transitions)} steps"
+        )
 
     def _step(self, state: int, action: int) -> tuple[int, bool]:
         """Take an action; return the next state and whether the episode is over."""
-        observation, reward, terminated, truncated, _ = self.env.step(action)
-        following = self._number(observation)
-        self.transitions.append(
-            (state, action, following, float(reward), bool(terminated))
+        observation, reward, terminated, truncated = step_environment(
+            self.env, action, self._seen
         )
+        following = self._number(observation, action)
+        self.transitions.append((state, action, following, reward, terminated))
         self._outcomes[state, action][RESET if terminated else following] += 1
         self._counts[state, action] += 1
         if self._counts[state, action] == self.n_wanted:
@@ -477,15 +528,71 @@ class Explorer:
             self._set_open(following, self._cuts[following] < MAX_CUTS)
         elif not terminated:
             self._set_open(following, True)
-        return following, bool(terminated or truncated)
+        return following, terminated or truncated
 
     def _was_left(self, state: int) -> bool:
         """Say whether any action was taken in a state."""
         return any(self._counts[state, a] for a in range(self.n_actions))
 
-    def _number(self, observation: object) -> int:
-        """Return the number of an observation, a new one if it was not met before."""
-        return self.states.setdefault(to_plain(observation), len(self.states))
+    def _number(self, observation: object, call: int | str) -> int:
+        """Return the number of an observation, a new one if it was not met before.
+
+        ``call`` is the action that it followed, or the name of a reset.
+        """
+        if self.size is not None:
+            if type(observation) is not int or observation not in self.states:
+                observation = require_observation(
+                    observation, self.size, self.env, *self._place(call)
+                )
+        elif type(observation) is not int or observation not in self.states:
+            observation = self._check_free(observation, call)
+        self._seen = observation
+        return self.states.setdefault(observation, len(self.states))
+
+    def _check_free(self, observation: object, call: int | str) -> object:
+        """Return an observation that is not Discrete as a number or a name."""
+        seen = to_plain(observation)
+        with contextlib.suppress(TypeError):  # what cannot be looked up
+            if seen in self.states:
+                return seen
+        number = None if isinstance(seen, str | tuple) else read_integer(seen)
+        name, state = self._place(call)
+        where = "" if state is None else f"in state {_checks.show(state)} "
+        rule = (
+            "must give an observation that is a number from 0, a text, or a tuple or"
+            f" array of integers; {where}it gives {_checks.show(observation)}"
+        )
+        if number is not None and number >= 0:
+            seen = number
+        elif isinstance(observation, Mapping):
+            raise ArgumentError(
+                name,
+                f"{rule} (gymnasium.wrappers.FlattenObservation(env) makes an array of"
+                " a dict)",
+            )
+        elif isinstance(seen, str | tuple):
+            try:
+                check_names([seen], name, 1)
+            except ArgumentError as error:
+                raise ArgumentError(name, f"{rule}; a name {error.rule}") from None
+        else:
+            raise ArgumentError(name, rule)
+        is_number = not isinstance(seen, str | tuple)
+        if self.states and is_number != self.is_numbered:
+            raise ArgumentError(
+                name,
+                "must give numbers alone or names alone as observations; it gives"
+                f" {_checks.show(observation)} after"
+                f" {_checks.show(next(iter(self.states)))}",
+            )
+        self.is_numbered = is_number
+        return seen
+
+    def _place(self, call: int | str) -> tuple[str, object]:
+        """Return the name of a step or reset, and the state in which it was made."""
+        if isinstance(call, str):
+            return call, None
+        return f"env.step({call})", self._seen
 
     def _actions_that_lack(self, state: int) -> list[int]:
         """List the actions of a state that have too few samples."""
@@ -529,18 +636,20 @@ class Explorer:
             is_lacking[pair] = True
         for pair in self._counts:
             is_taken[pair] = True
-        frequencies: Any = self._frequencies()
+        frequencies = self._frequencies()
         starts = np.bincount(self.starts, minlength=n) / len(self.starts)
-        values = np.zeros(n + 1)  # the last one is V_0
-        for _ in range(MAX_SWEEPS):
-            ahead = EXPLORATION_DISCOUNT * (frequencies @ values).reshape(n, -1)
-            best = np.where(is_lacking, 1.0, ahead).max(axis=1)
-            new = np.maximum(best, EXPLORATION_DISCOUNT * values[n])
-            new = np.append(new, starts @ new)
-            change = float(np.abs(new - values).max())
-            values = new
-            if change < VALUE_TOLERANCE:
-                break
+        from oee_tabular.mdp._exploring import solve  # compiled on use
+
+        best, ahead, values = solve(
+            frequencies.data,
+            frequencies.indices,
+            frequencies.indptr,
+            starts,
+            is_lacking,
+            EXPLORATION_DISCOUNT,
+            VALUE_TOLERANCE,
+            MAX_SWEEPS,
+        )
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
         is_reset_better = best < EXPLORATION_DISCOUNT * values[n] - VALUE_TOLERANCE
         self._best = np.where(is_reset_better, RESET, actions).tolist()

@@ -586,13 +586,16 @@ class FiniteMDP:
         Raises
         ------
         ValueError
-            If there is no such table (Blackjack), or if the dynamics are not in it: a
+            If there is no such table (Blackjack), if the dynamics are not in it (a
             fickle Taxi passenger, a wrapper that changes actions, observations or
-            rewards.
+            rewards), or if the table lacks an action, or has probabilities that do not
+            sum to 1, states outside it, or rewards that are no numbers: the error names
+            the entry, ``env.P[3][1][0]``.
 
         See Also
         --------
         from_env : Sample an environment that can only be stepped.
+        with_names : Give other names to states and actions.
 
         Notes
         -----
@@ -665,6 +668,7 @@ class FiniteMDP:
         See Also
         --------
         from_env : The same of an environment that is stepped.
+        with_support_of : Allow another log's transitions that this log lacks.
 
         Notes
         -----
@@ -701,6 +705,8 @@ class FiniteMDP:
         seed: Seed = None,
         discount: float = 0.99,
         max_steps: int = 1_000_000,
+        state_names: NamesLike | None = None,
+        action_names: NamesLike | None = None,
     ) -> Self:
         """Estimate the MDP of a Gymnasium environment that can only be stepped.
 
@@ -719,6 +725,13 @@ class FiniteMDP:
         max_steps : int, default 1_000_000
             The largest number of steps. If it does not suffice, a warning gives the
             number of pairs with fewer samples, and names three.
+        state_names : sequence of str or tuple, optional
+            The names of the environment's states. Where observations are numbers, one
+            for each number; where they are texts, tuples or arrays, these themselves in
+            the order of the states' numbers. None means no names, or those that were
+            observed.
+        action_names : sequence of A str or tuple, optional
+            The names of the actions.
 
         Returns
         -------
@@ -729,11 +742,17 @@ class FiniteMDP:
         Raises
         ------
         ValueError
-            If observations or actions are continuous, or an argument breaks its rule.
+            If observations or actions are continuous, if an argument breaks its rule,
+            or if the environment raises an error or returns what is no step (old Gym's
+            four values, a reward that is no number, an observation outside its space):
+            the error names the action, the state and what was returned.
 
         See Also
         --------
         from_gymnasium : Read the table of a toy-text environment.
+        from_log : Estimate the same from a log.
+        with_names : Give names to states and actions afterwards.
+        with_support_of : Allow a log's transitions that the samples lack.
 
         Notes
         -----
@@ -742,7 +761,8 @@ class FiniteMDP:
         every state reached has been taken ``samples_per_pair`` times; an episode that
         cannot lead there is ended by ``env.reset``. Observations that are not Discrete
         (tuples, integer arrays, texts) become the states' names. States that no episode
-        reached are absorbing with reward 0.
+        reached are absorbing with reward 0. On a terminal a bar shows how many of the
+        reached pairs have their samples, from the second second on.
 
         Examples
         --------
@@ -753,8 +773,11 @@ class FiniteMDP:
         >>> bool(abs(sampled.transitions - exact.transitions).max() == 0)
         True
         """
+        gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+        names = (state_names, action_names)
         return cls(
-            **env_arguments(env, samples_per_pair, seed, max_steps), discount=discount
+            **env_arguments(env, samples_per_pair, seed, max_steps, names),
+            discount=gamma,
         )
 
     def _arguments(self) -> dict[str, Any]:

@@ -6,16 +6,20 @@ imported: the environment that is handed over brings what is needed.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, grid_coordinates
 from oee_tabular.mdp.naming import Name, check_names, coordinates
+from oee_tabular.mdp.stepping import is_discrete, read_flag, read_integer, read_number
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # Wrappers of Gymnasium that change neither actions nor observations nor rewards. A time
@@ -55,11 +59,13 @@ def read_table(env: Any) -> dict[str, Any]:
     _refuse_changing_wrappers(env)
     base = getattr(env, "unwrapped", env)
     table = getattr(base, "P", None)
-    if table is None or not hasattr(base, "initial_state_distrib"):
+    # old Gym calls the distribution of the first state isd
+    first = getattr(base, "initial_state_distrib", getattr(base, "isd", None))
+    if table is None or first is None:
         raise ArgumentError(
             "env",
             "must have a toy-text table env.unwrapped.P and an initial_state_distrib;"
-            f" {type(base).__name__} has none (build the FiniteMDP from its arrays, or"
+            f" {_name_class(base)} has none (build the FiniteMDP from its arrays, or"
             " sample it: FiniteMDP.from_env(env, samples_per_pair=...); of an"
             " environment with continuous states make a tasks.GymnasiumTask)",
         )
@@ -71,8 +77,7 @@ def read_table(env: Any) -> dict[str, Any]:
             f" (fickle_probability={base.fickle_probability:g}): use"
             " fickle_passenger=False",
         )
-    n_states = len(table)
-    n_actions = len(table[0])
+    n_states, n_actions = _check_sizes(base, table)
     rows = list(_list_outcomes(table, n_states, n_actions))
     columns = np.array(rows, dtype=np.float64).T
     outcomes = Outcomes._make(
@@ -80,7 +85,7 @@ def read_table(env: Any) -> dict[str, Any]:
     )
     return build_arguments(
         outcomes,
-        np.array(base.initial_state_distrib, dtype=np.float64),
+        _checks.distribution(first, "env.initial_state_distrib", (n_states,)),
         n_actions,
         layout=_map_layout(base, n_states),
         state_names=_valid_names(getattr(base, "state_names", None), n_states),
@@ -190,15 +195,153 @@ def _add_twin_names(
     return (*names, *added)
 
 
+def _name_class(base: object) -> str:
+    """Return the name of an environment's class, or of the class that it is."""
+    return base.__name__ if isinstance(base, type) else type(base).__name__
+
+
+def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
+    """Return the numbers of states and actions of a table P.
+
+    The spaces give them where they are Discrete, so that a table which lacks some is
+    not taken for a whole one.
+    """
+    n_states = len(_entries(table, "env.P", "state"))
+    space = getattr(base, "observation_space", None)
+    if is_discrete(space) and int(space.n) != n_states:  # type: ignore[union-attr]
+        raise ArgumentError(
+            "env.P",
+            f"must have the {space.n} states of env.observation_space; it has"  # type: ignore[union-attr]
+            f" {n_states}",
+        )
+    own = _entry(table, "env.P", 0, n_states, "state")
+    n_actions = len(_entries(own, "env.P[0]", "action"))
+    space = getattr(base, "action_space", None)
+    if is_discrete(space):
+        n_actions = int(space.n)  # type: ignore[union-attr]
+    return n_states, n_actions
+
+
+def _entries(value: Any, name: str, noun: str) -> Any:
+    """Require a mapping or a list that is not empty."""
+    is_list = isinstance(value, Mapping | Sequence) and not isinstance(value, str | bytes)
+    if isinstance(value, np.ndarray):
+        is_list = value.ndim > 0
+    if not is_list or not len(value):
+        raise ArgumentError(
+            name,
+            f"must be a dict or list with an entry for each {noun}; it is"
+            f" {_checks.show(value)}",
+        )
+    return value
+
+
+def _entry(value: Any, name: str, number: int, size: int, noun: str) -> Any:
+    """Return the entry of a state or an action; what is missing is an ArgumentError."""
+    try:
+        return value[number]
+    except LookupError:
+        keys = f"; its keys are {_checks.show(list(value)[:5])}"
+        hint = ""
+        if noun == "action":
+            hint = (
+                " (an action that cannot be taken may stay in place:"
+                f" {name}[{number}] = [(1.0, {name.rpartition('[')[2][:-1]}, 0.0,"
+                " False)])"
+            )
+        raise ArgumentError(
+            name,
+            f"must have the {noun}s 0..{size - 1}; it lacks {number}"
+            f"{keys if isinstance(value, Mapping) else ''}{hint}",
+        ) from None
+
+
 def _list_outcomes(
     table: Any, n_states: int, n_actions: int
 ) -> Iterator[tuple[int, int, int, float, float, bool]]:
-    """Yield the outcomes of positive probability, in the order of ``Outcomes``."""
+    """Yield the outcomes of positive probability, in the order of ``Outcomes``.
+
+    What is no outcome is an ArgumentError that names its place in the table.
+    """
     for s in range(n_states):
+        actions = _entry(table, "env.P", s, n_states, "state")
+        name = f"env.P[{s}]"
+        n_own = len(_entries(actions, name, "action"))
         for a in range(n_actions):
-            for probability, next_state, reward, terminated in table[s][a]:
-                if probability > 0:
-                    yield s, a, next_state, probability, reward, terminated
+            listed = _entry(actions, name, a, n_actions, "action")
+            yield from _check_outcomes(listed, s, a, n_states)
+        if n_own != n_actions:
+            raise ArgumentError(
+                name,
+                f"must have the {n_actions} actions 0..{n_actions - 1} of every state;"
+                f" it has {n_own}",
+            )
+
+
+def _check_outcomes(
+    listed: Any, s: int, a: int, n_states: int
+) -> list[tuple[int, int, int, float, float, bool]]:
+    """Return the outcomes of a state-action pair; their probabilities sum to 1."""
+    name = f"env.P[{s}][{a}]"
+    found = []
+    weights = []
+    is_single = True
+    for k, outcome in enumerate(_entries(listed, name, "outcome")):
+        place = f"{name}[{k}]"
+        if not isinstance(outcome, Sequence | np.ndarray) or len(outcome) != 4:
+            raise ArgumentError(
+                place,
+                "must be (probability, next state, reward, terminated); it is"
+                f" {_checks.show(outcome)}",
+            )
+        probability, to, reward, terminated = outcome
+        weight = read_number(probability)
+        if weight is None or not 0.0 <= weight <= 1.0 + _checks.SUM_TOLERANCE:
+            raise ArgumentError(
+                place,
+                f"must have a probability in [0, 1]; it has {_checks.show(probability)}",
+            )
+        weights.append(weight)
+        is_single = is_single and isinstance(probability, np.float32)
+        if weight > 0.0:
+            state, number, flag = _check_outcome(to, reward, terminated, place, n_states)
+            found.append((s, a, state, weight, number, flag))
+    total = math.fsum(weights)
+    if abs(total - 1.0) <= _checks.SUM_TOLERANCE:
+        return found
+    if is_single and abs(total - 1.0) <= _checks.SINGLE_TOLERANCE:
+        return [(*row[:3], row[3] / total, *row[4:]) for row in found]
+    raise ArgumentError(
+        name,
+        "must have probabilities that"
+        f" {_checks.SUM_RULE.format(total).replace('it sums', 'they sum')}",
+    )
+
+
+def _check_outcome(
+    to: Any, reward: Any, terminated: Any, place: str, n_states: int
+) -> tuple[int, float, bool]:
+    """Return the next state, the reward and the flag of an outcome."""
+    state = read_integer(to)
+    if state is None or not 0 <= state < n_states:
+        raise ArgumentError(
+            place,
+            f"must lead to a state in 0..{n_states - 1}; it leads to"
+            f" {_checks.show(to)}",
+        )
+    number = read_number(reward)
+    if number is None or not math.isfinite(number):
+        raise ArgumentError(
+            place, f"must have a finite reward; it has {_checks.show(reward)}"
+        )
+    flag = read_flag(terminated)
+    if flag is None:
+        raise ArgumentError(
+            place,
+            "must have True or False as terminated; it has"
+            f" {_checks.show(terminated)}",
+        )
+    return state, number, flag
 
 
 def _refuse_changing_wrappers(env: object) -> None:
@@ -248,8 +391,10 @@ def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
 
     None where neither numbers them all.
     """
-    meanings = getattr(base, "get_action_meanings", None)
-    given = getattr(base, "action_names", None if meanings is None else meanings())
+    given = getattr(base, "action_names", None)
+    if given is None and hasattr(base, "get_action_meanings"):
+        with contextlib.suppress(Exception):  # an environment's own code: no names then
+            given = base.get_action_meanings()
     if given is not None:
         return _valid_names(given, n_actions)
     constants = getattr(sys.modules.get(type(base).__module__), "__dict__", {}).items()
