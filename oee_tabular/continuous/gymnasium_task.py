@@ -31,6 +31,11 @@ from oee_tabular.continuous.task import (
     check_probabilities,
 )
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
+from oee_tabular.mdp.stepping import (
+    require_environment,
+    reset_environment,
+    step_environment,
+)
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike, Seed
 
 MIN_STATES_AT_ONCE = 16  # fewer are stepped one by one
@@ -56,6 +61,20 @@ def write_state(env: Any, state: Array) -> None:
     inner.state = np.array(state)
     if hasattr(inner, "steps_beyond_terminated"):
         inner.steps_beyond_terminated = None
+
+
+def _make_one(make: Callable[[], Any]) -> Any:
+    """Make an environment by a user's function."""
+    try:
+        env = make()
+    except Exception as error:  # a user's function may raise anything
+        raise ArgumentError(
+            "make",
+            f"must make an environment; it raises {type(error).__name__}:"
+            f" {_checks.escape_controls(str(error))[:200]}",
+        ) from error
+    require_environment(env)
+    return env
 
 
 def _is_same(x: Array, y: Array) -> bool:
@@ -179,8 +198,8 @@ class GymnasiumTask(ContinuousTask):
         self._over = over
         self._reward_between = reward_between
         self._parameters = dict(parameters or {})
-        self._env = make()
-        self._env.reset(seed=0)
+        self._env = _make_one(make)
+        reset_environment(self._env, 0)
         state = self.read(self._env)
         if state_names is None:
             state_names = getattr(self._env.unwrapped, "state_names", None) or [
@@ -208,7 +227,7 @@ class GymnasiumTask(ContinuousTask):
                     f" {self.actions[number].tolist()}",
                 )
         if low is None or high is None:
-            usual_low, usual_high = self._find_ranges(make())
+            usual_low, usual_high = self._find_ranges(_make_one(make))
             low = usual_low if low is None else low
             high = usual_high if high is None else high
         for name, given in (("low", low), ("high", high)):
@@ -220,7 +239,7 @@ class GymnasiumTask(ContinuousTask):
                     f" has shape {end.shape}",
                 )
             setattr(self, f"feature_{name}", end)
-        self._set(self._env, state)
+        self._write(self._env, state)
         kept = self.read(self._env)
         if not np.array_equal(kept, state):
             raise ArgumentError(
@@ -235,7 +254,7 @@ class GymnasiumTask(ContinuousTask):
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if check_steps:
             n_steps = _checks.positive_integer(check_steps, "check_steps")
-            record = self._check_steps(make(), n_steps)
+            record = self._check_steps(_make_one(make), n_steps)
             ways = [GymnasiumTask._step_arrays]
             if make_vector is not None:
                 ways.append(GymnasiumTask._step_vector)
@@ -249,7 +268,7 @@ class GymnasiumTask(ContinuousTask):
         The order is another. What differs is an error, where it is at most a twentieth
         of the steps a warning.
         """
-        env.reset(seed=0)
+        reset_environment(env, 0)
         rng = np.random.default_rng(0)
         generators = []
         numbers = rng.integers(self.n_actions, size=steps)
@@ -396,7 +415,26 @@ class GymnasiumTask(ContinuousTask):
         ndarray of shape (d,)
             The state.
         """
-        return np.array(self._get(env), dtype=np.float64)
+        try:
+            return np.array(self._get(env), dtype=np.float64)
+        except Exception as error:  # a user's function may raise anything
+            raise ArgumentError(
+                "get_state",
+                "must return the numbers of the environment's state; it raises"
+                f" {type(error).__name__}: {_checks.escape_controls(str(error))[:200]}",
+            ) from error
+
+    def _write(self, env: Any, state: Array) -> None:
+        """Put a state into an environment by the function that was given."""
+        try:
+            self._set(env, state)
+        except Exception as error:  # a user's function may raise anything
+            raise ArgumentError(
+                "set_state",
+                f"must put the state {_checks.show(state.tolist())} into the"
+                f" environment; it raises {type(error).__name__}:"
+                f" {_checks.escape_controls(str(error))[:200]}",
+            ) from error
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters that were given.
@@ -511,8 +549,9 @@ class GymnasiumTask(ContinuousTask):
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
             own = rng if isinstance(rng, np.random.Generator) else rng[i]
             env.unwrapped.np_random = own
-            self._set(env, state)
-            _, reward[i], over[i], _, _ = env.unwrapped.step(self.command(int(action)))
+            self._write(env, state)
+            command = self.command(int(action))
+            _, reward[i], over[i], _ = step_environment(env.unwrapped, command, state)
             following[i] = self.read(env)
         return Moves(following, reward, over)
 
@@ -531,10 +570,10 @@ class GymnasiumTask(ContinuousTask):
         ndarray of shape (n, d)
             The states.
         """
-        self._env.reset(seed=int(rng.integers(2**31)))
+        reset_environment(self._env, int(rng.integers(2**31)))
         found = np.empty((n, self.n_state))
         for i in range(n):
-            self._env.reset()
+            reset_environment(self._env)
             found[i] = self.read(self._env)
         return found
 
@@ -600,19 +639,20 @@ class GymnasiumTask(ContinuousTask):
         for _ in range(n):
             state = self.read(env)
             number = choose(state)
-            _, reward, over, cut, _ = inner.step(self.command(number))
+            command = self.command(number)
+            _, reward, over, cut = step_environment(inner, command, state)
             t += 1
             cut = not over and (cut or t == limit)
             rows.append((state, number, self.read(env), reward, over, cut))
             if over or cut:
-                inner.reset()
+                reset_environment(inner)
                 t = 0
         env.close()
         return tuple(map(np.array, zip(*rows, strict=True)))
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
         """Return the ends of what random actions reach and a tenth more."""
-        env.reset(seed=0)
+        reset_environment(env, 0)
         rng = np.random.default_rng(0)
         limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
 
@@ -661,10 +701,10 @@ class GymnasiumTask(ContinuousTask):
         rows = _checks.positive_integer(n_transitions, "n_transitions")
         steps = _checks.positive_integer(max_steps, "max_steps")
         rng = _checks.generator(seed)
-        env = self._make()
+        env = _make_one(self._make)
         known = []
-        env.reset(seed=int(rng.integers(2**31)))
-        env.unwrapped.reset()
+        reset_environment(env, int(rng.integers(2**31)))
+        reset_environment(env.unwrapped)
 
         def choose(state: Array) -> int:
             """Draw an action by the policy, and keep its probability."""

@@ -35,6 +35,7 @@ from oee_tabular.mdp.naming import (
     Names,
     check_names,
     initial_distribution,
+    numbers_of,
     renumber,
     to_plain,
 )
@@ -246,8 +247,14 @@ def _number_states(
     own = check_names(_sort_states(met), "the environment's observations", len(met))
     if names is None:
         names = own
-    order = renumber(np.arange(len(own)), own, names, len(names), "state_names")
-    places = dict(zip(own, order.tolist(), strict=True))
+    places = numbers_of(names)
+    for name in own:
+        if name not in places:
+            raise ArgumentError(
+                "state_names",
+                f"must have every state that the environment shows; {name!r} is not"
+                " there",
+            )
     return len(names), names, np.array([places[state] for state in met])
 
 

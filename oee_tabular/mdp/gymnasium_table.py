@@ -19,7 +19,13 @@ from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, grid_coordinates
 from oee_tabular.mdp.naming import Name, check_names, coordinates
-from oee_tabular.mdp.stepping import is_discrete, read_flag, read_integer, read_number
+from oee_tabular.mdp.stepping import (
+    is_discrete,
+    read_flag,
+    read_integer,
+    read_number,
+    require_environment,
+)
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # Wrappers of Gymnasium that change neither actions nor observations nor rewards. A time
@@ -56,6 +62,8 @@ def read_table(env: Any) -> dict[str, Any]:
 
     ``FiniteMDP.from_gymnasium`` explains them.
     """
+    if isinstance(env, str | type) or hasattr(env, "num_envs"):
+        require_environment(env)
     _refuse_changing_wrappers(env)
     base = getattr(env, "unwrapped", env)
     table = getattr(base, "P", None)
@@ -65,7 +73,7 @@ def read_table(env: Any) -> dict[str, Any]:
         raise ArgumentError(
             "env",
             "must have a toy-text table env.unwrapped.P and an initial_state_distrib;"
-            f" {_name_class(base)} has none (build the FiniteMDP from its arrays, or"
+            f" {type(base).__name__} has none (build the FiniteMDP from its arrays, or"
             " sample it: FiniteMDP.from_env(env, samples_per_pair=...); of an"
             " environment with continuous states make a tasks.GymnasiumTask)",
         )
@@ -195,11 +203,6 @@ def _add_twin_names(
     return (*names, *added)
 
 
-def _name_class(base: object) -> str:
-    """Return the name of an environment's class, or of the class that it is."""
-    return base.__name__ if isinstance(base, type) else type(base).__name__
-
-
 def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
     """Return the numbers of states and actions of a table P.
 
@@ -216,6 +219,9 @@ def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
         )
     own = _entry(table, "env.P", 0, n_states, "state")
     n_actions = len(_entries(own, "env.P[0]", "action"))
+    if isinstance(own, Mapping):
+        numbers = [key for key in own if _checks.is_integer(key)]
+        n_actions = max(n_actions, 1 + max(numbers, default=0))
     space = getattr(base, "action_space", None)
     if is_discrete(space):
         n_actions = int(space.n)  # type: ignore[union-attr]
@@ -292,7 +298,8 @@ def _check_outcomes(
             raise ArgumentError(
                 place,
                 "must be (probability, next state, reward, terminated); it is"
-                f" {_checks.show(outcome)}",
+                f" {_checks.show(outcome)} (of arrays of probabilities and rewards:"
+                " FiniteMDP(transitions, rewards, initial, discount))",
             )
         probability, to, reward, terminated = outcome
         weight = read_number(probability)

@@ -75,10 +75,11 @@ def count_actions(env: Any) -> int:
             f" gymnasium.spaces.Discrete({space.n})))"  # type: ignore[union-attr]
         )
     elif hasattr(space, "nvec"):
+        sizes = tuple(np.ravel(space.nvec).tolist())  # type: ignore[union-attr]
         hint = (
             " (number the combinations: gymnasium.wrappers.TransformAction(env, lambda"
-            " a: numpy.unravel_index(a, env.action_space.nvec),"
-            " gymnasium.spaces.Discrete(numpy.prod(env.action_space.nvec))))"
+            f" a: numpy.array(numpy.unravel_index(a, {sizes})),"
+            f" gymnasium.spaces.Discrete({math.prod(sizes)})))"
         )
     raise ArgumentError(
         "env.action_space",
@@ -141,6 +142,8 @@ def step_environment(
                 " (an action that cannot be taken in a state may stay there: return the"
                 " same observation with the reward 0)"
             )
+        elif getattr(env, "unwrapped", env) is not env:
+            hint = " (of env.unwrapped, without its wrappers, the error may say more)"
         raise ArgumentError(
             _place(name, action),
             f"must not raise; in state {_checks.show(state)} of {_call(env)} it raises"

@@ -20,6 +20,15 @@ from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.policies import count_dimensions
+from oee_tabular.mdp.stepping import (
+    MAX_EPISODE_STEPS,
+    count_actions,
+    count_observations,
+    require_environment,
+    require_observation,
+    reset_environment,
+    step_environment,
+)
 from oee_tabular.typing import Array, PolicyLike, Seed
 
 
@@ -208,11 +217,15 @@ def record_episodes(
     Raises
     ------
     ValueError
-        If an argument is bad.
+        If an argument is bad, if the environment raises an error or returns what is no
+        step (the error names the action, the state and what was returned), or if an
+        episode has not ended after 10^6 steps and ``max_steps`` is not given.
 
     See Also
     --------
     sample_episodes : Episodes of a FiniteMDP.
+    oee_tabular.Transitions.from_episodes : A log of steps that you made yourself.
+    oee_tabular.FiniteMDP.from_env : A simulator of an environment that is stepped.
 
     Examples
     --------
@@ -228,8 +241,16 @@ def record_episodes(
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = _positive_or_none(n_episodes, "n_episodes")
     longest = _positive_or_none(max_steps, "max_steps")
-    n_observations = _count(env, "observation_space")
-    n_actions = _count(env, "action_space")
+    require_environment(env)
+    n_actions = count_actions(env)
+    n_observations = count_observations(env)
+    if n_observations is None:
+        space = getattr(env, "observation_space", None)
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be Discrete; it is {_checks.show(space)} (of episodes that you step"
+            " yourself: Transitions.from_episodes)",
+        )
     # a policy may have more rows than the environment: twins of its states follow
     n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
     numbered = SimpleNamespace(
@@ -239,12 +260,11 @@ def record_episodes(
     )
     pi = check_policy(policy, numbered)
     rows = []
-    progress = progress_bar("recording", total=limit or episodes)
-    steps = _step(env, pi, episodes, longest, _checks.generator(seed))
-    for row in itertools.islice(steps, limit):
-        rows.append(row)
-        progress.update(1 if episodes is None else int(row[4] or row[5]))
-    progress.close()
+    steps = _step(env, pi, n_observations, episodes, longest, _checks.generator(seed))
+    with progress_bar("recording", total=limit or episodes) as progress:
+        for row in itertools.islice(steps, limit):
+            rows.append(row)
+            progress.update(1 if episodes is None else int(row[4] or row[5]))
     states, actions, next_states, rewards, terminated, truncated, episode = map(
         np.array, zip(*rows, strict=True)
     )
@@ -267,48 +287,47 @@ def _positive_or_none(value: int | None, name: str) -> int | None:
     return None if value is None else _checks.positive_integer(value, name)
 
 
-def _count(env: object, name: str) -> int:
-    """Return the number of observations, or of actions, of an environment."""
-    space: object = getattr(env, name, None)
-    if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
-        raise ArgumentError(f"env.{name}", f"must be Discrete, from 0; it is {space}")
-    return int(space.n)
-
-
 def _step(
     env: Environment,
     pi: Array,
+    n_observations: int,
     episodes: int | None,
     longest: int | None,
     generator: np.random.Generator,
 ) -> Iterator[tuple[int, int, int, float, bool, bool, int]]:
     """Step an environment and yield s, a, s', r, terminated, truncated and episode.
 
-    There are ``episodes`` episodes, or no end.
+    There are ``episodes`` episodes, or no end. Without a longest one, an episode of a
+    million steps is an ArgumentError.
     """
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
+    low = int(getattr(env.observation_space, "start", 0))
     # only the first reset is seeded: later episodes go on with its random numbers
     first_seed: int | None = int(generator.integers(2**31))
     for episode in itertools.count() if episodes is None else range(episodes):
-        state = int(env.reset(seed=first_seed)[0])
+        seen = reset_environment(env, first_seed)
+        state = require_observation(seen, n_observations, env, "env.reset", None)
         has_ended = False
         steps = 0
         first_seed = None
         while not has_ended:
             number = generator.random()
             action = int(np.searchsorted(cumulative[state], number, side="right"))
-            next_state, reward, terminated, truncated, _ = env.step(action)
+            seen, reward, terminated, truncated = step_environment(env, action, state)
+            if type(seen) is int and low <= seen < n_observations:
+                next_state = seen
+            else:
+                call = f"env.step({action})"
+                next_state = require_observation(seen, n_observations, env, call, state)
             steps += 1
-            truncated = bool(truncated) or steps == longest
-            yield (
-                state,
-                action,
-                int(next_state),
-                float(reward),
-                bool(terminated),
-                truncated,
-                episode,
-            )
-            state = int(next_state)
-            has_ended = bool(terminated) or truncated
+            truncated = truncated or steps == longest
+            yield state, action, next_state, reward, terminated, truncated, episode
+            state = next_state
+            has_ended = terminated or truncated
+            if steps == MAX_EPISODE_STEPS and longest is None and episodes is not None:
+                raise ArgumentError(
+                    "max_steps",
+                    f"must be given where episodes do not end; episode {episode} has"
+                    f" not ended after {steps} steps",
+                )
