@@ -303,6 +303,14 @@ class CartPolePolicy:
     def __post_init__(self) -> None:
         _checks.number_in(self.delta, "delta", 0.0, 1.0)
         _checks.boolean(self.deterministic, "deterministic")
+        weights = _checks.float_array(self.weights, "weights", ndim=1)
+        _checks.require_finite(weights, "weights")
+        if weights.shape != (3,):
+            raise ArgumentError(
+                "weights",
+                "must be three numbers, of theta, theta' and 1; they have shape"
+                f" {weights.shape}",
+            )
 
     def __call__(self, states: Array) -> Array:
         """Return the probabilities (n, 2) of pushing to the left and to the right."""
@@ -387,7 +395,9 @@ def train_expert(
         raise ArgumentError(
             "elite", f"must be at most the population, {population}; it is {elite}"
         )
-    simulator = task or CartPole()
+    simulator = CartPole()
+    if task is not None:
+        simulator = _checks.instance(task, CartPole, "task")
     rng = _checks.generator(seed)
     mean = np.zeros(3)
     deviation = np.full(3, SPREAD)

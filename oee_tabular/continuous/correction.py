@@ -206,14 +206,26 @@ def fit_parameters(
     )
     low = np.where(x0 > 0, 0.0, -np.inf)
     high = np.where(x0 < 0, 0.0, np.inf)
-    for name, ends in ({} if bounds is None else bounds).items():
+    if bounds is not None and not isinstance(bounds, Mapping):
+        raise ArgumentError(
+            "bounds",
+            "must map names of parameters to (lower, upper); got"
+            f" {_checks.show(bounds)}",
+        )
+    for name, ends in (bounds or {}).items():
         if name not in names:
             raise ArgumentError(
                 "bounds",
                 f"must be of parameters in start ({', '.join(names)}); got {name!r}",
             )
         k = names.index(name)
-        low[k], high[k] = ends
+        pair = _checks.float_array(ends, f"bounds[{name!r}]", ndim=1)
+        if pair.shape != (2,) or np.isnan(pair).any():
+            raise ArgumentError(
+                f"bounds[{name!r}]",
+                f"must be two numbers, lower and upper; it is {_checks.show(ends)}",
+            )
+        low[k], high[k] = pair
         if not low[k] <= x0[k] <= high[k] or low[k] == high[k]:
             raise ArgumentError(
                 f"start[{name!r}]",

@@ -372,6 +372,24 @@ CellsLike: TypeAlias = (
 )
 
 
+def _require_tasks(tasks: object, name: str) -> list[ContinuousTask]:
+    """Return a collection of continuous tasks as a list."""
+    return [
+        _checks.instance(task, ContinuousTask, f"{name}[{k}]")
+        for k, task in enumerate(
+            _checks.collection(tasks, name, "a sequence of continuous tasks")
+        )
+    ]
+
+
+def _require_policies(policies: object, name: str) -> list[StatePolicy]:
+    """Return a collection of functions of states as a list."""
+    every = _checks.collection(policies, name, "a sequence of functions of states")
+    for k, policy in enumerate(every):
+        _checks.function(policy, f"{name}[{k}]")
+    return list(every)
+
+
 def visited_states(
     tasks: Sequence[ContinuousTask],
     policies: Sequence[StatePolicy],
@@ -419,7 +437,12 @@ def visited_states(
     (1000, 4)
     """
     size = _checks.positive_integer(n, "n")
-    pairs = [(task, policy) for task in tasks for policy in policies]
+    several = _require_tasks(tasks, "tasks")
+    pairs = [
+        (task, policy)
+        for task in several
+        for policy in _require_policies(policies, "policies")
+    ]
     if not pairs:
         raise ValueError(
             "tasks and policies must have at least one each; one of them is empty"
@@ -528,13 +551,14 @@ def discretize(
     """
     _checks.instance(task, ContinuousTask, "task")
     share = _checks.number_in(floor, "floor", 0.0, 1.0)
+    policies = _require_policies(policies, "policies")
     if log is not None:
         require_log_of(task, log)
     process = task.on_features()
     if others is None:
         mixed = list(process.others())
     else:
-        mixed = [other.on_features() for other in others]
+        mixed = [other.on_features() for other in _require_tasks(others, "others")]
     if share > 0.0 and not mixed:
         _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
         if log is None:

@@ -365,6 +365,7 @@ def record_goals(
     >>> len(log), log.n_state, int(log.truncated.sum())
     (125, 3, 5)
     """
+    _checks.instance(arm, HandTask, "arm", "KinovaArm or KinovaHand")
     runs = _checks.positive_integer(n_runs, "n_runs")
     steps = _checks.positive_integer(horizon, "horizon")
     rng = _checks.generator(seed)

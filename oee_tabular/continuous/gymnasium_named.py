@@ -143,6 +143,9 @@ def gymnasium_simulator(
     >>> simulator.task.state_names, simulator.horizon
     (('x', 'x_dot', 'theta', 'theta_dot'), 500)
     """
+    _checks.instance(spec, str, "spec", "text")
+    if state is not None:
+        _checks.instance(state, str, "state", "text")
     physics = Physics(*gymnasium_spec(spec))
     env = physics.make()
     env.reset(seed=0)
@@ -336,7 +339,7 @@ def action_set(space: Any, given: RealArrayLike | None = None) -> Array:
         )
     k = space.shape[0]
     count = N_LEVELS.get(k, 3) if given is None else given
-    if isinstance(count, int):
+    if isinstance(count, int | np.integer):
         n = _checks.positive_integer(count, "actions")
         if not np.isfinite([space.low, space.high]).all():
             raise ArgumentError(

@@ -369,7 +369,7 @@ class HistoryTask(DerivedTask):
 
 def check_n_actions(value: int, name: str) -> int:
     """Return a number of last actions, 0 or a positive integer."""
-    if value is not False and value == 0:
+    if _checks.is_integer(value) and value == 0:
         return 0
     return _checks.positive_integer(value, name)
 

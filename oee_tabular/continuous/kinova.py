@@ -313,6 +313,7 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Seed = 0) -> Kino
     ... )
     ([1.4, 1.4, 1.4], (27, 10, 3))
     """
+    _checks.instance(arm, gen3.HandTask, "arm", "KinovaArm or KinovaHand")
     wanted = _checks.positive_integer(n_states, "n_states")
     rng = _checks.generator(seed)
     n_runs = len(GOALS) * len(VISITING_DELTAS)

@@ -51,6 +51,19 @@ INERTIAS = ("box", "capsule")
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 
+MAX_LENGTH = 1e6  # m
+
+
+def _require_place(target: object) -> None:
+    """Require two finite numbers, the place of the target."""
+    place = _checks.float_array(target, "target")
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise ArgumentError(
+            "target",
+            f"must be two finite numbers (x, y); it is {_checks.show(target)}",
+        )
+
+
 def link_bodies(length: float, inertia: Literal["box", "capsule"] = "box") -> Array:
     """Return mass, centre and moment of both links and the tip, (3, 3).
 
@@ -59,7 +72,7 @@ def link_bodies(length: float, inertia: Literal["box", "capsule"] = "box") -> Ar
     link's end. ``inertia`` is Bullet's "box" around a link, m/12 [(2 r + .08)^2 + (l +
     2 r + .08)^2], or that of the "capsule" itself (MuJoCo's).
     """
-    long = _checks.number_in(length, "length", 0.0, np.inf)
+    long = _checks.number_in(length, "length", 0.0, MAX_LENGTH)
     if long == 0.0:
         raise ArgumentError("length", f"must be positive; it is {length}")
     _checks.one_of(inertia, "inertia", INERTIAS)
@@ -200,11 +213,7 @@ class Reacher(ContinuousTask):
             _checks.number_in(
                 self.reward_length, "reward_length", 0.0, np.inf, open_ends=True
             )
-        place = _checks.float_array(self.target, "target")
-        if place.shape != (2,) or not np.isfinite(place).all():
-            raise ArgumentError(
-                "target", f"must be two finite numbers (x, y); it is {self.target}"
-            )
+        _require_place(self.target)
         for name in ("gear", "damping", "armature", "drag"):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
         _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
@@ -552,6 +561,10 @@ class ReacherPolicy:
 
     def __post_init__(self) -> None:
         _checks.number_in(self.delta, "delta", 0.0, 1.0)
+        link_bodies(self.length, "box")  # which checks the length
+        _require_place(self.target)
+        for name in ("stiffness", "brake"):
+            _checks.number_in(getattr(self, name), name, -np.inf, np.inf)
         object.__setattr__(self, "_aim", joint_angles(self.target, self.length))
 
     def __call__(self, states: Array) -> Array:

@@ -119,6 +119,7 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
         ArithmeticError,
         AttributeError,
         AssertionError,
+        NotImplementedError,
     ) as error:
         raise ValueError(
             f"environment {identifier!r} does not take these arguments {kwargs}:"

@@ -7,7 +7,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.family import (
     Family,
     Maker,
@@ -127,6 +129,11 @@ def tandem(size: int = 45) -> Family:
     >>> family.simulator.n_states, round(family.truth, 1)
     (81, -98.7)
     """
+
+    size = _checks.positive_integer(size, "size")
+    if size < 2:
+        raise ArgumentError("size", f"must be at least 2; it is {size}")
+    _checks.require_memory(3000.0 * size * size, "size", size, size=1)
 
     def moves(
         state: IntArray, action: IntArray, arrival: float, first: float, second: float
