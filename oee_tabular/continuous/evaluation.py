@@ -57,6 +57,7 @@ from oee_tabular.estimators import (
 )
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.rewards import is_rounded
 from oee_tabular.exceptions import (
     ArgumentError,
     DiscretizationWarning,
@@ -554,10 +555,11 @@ def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
     if bad.size == 0:
         return ""
     k = int(distance.argmax())
+    verb = "are rounded from" if is_rounded(log.reward, known) else "contradict"
     return (
-        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of"
-        f" {len(log)} transitions. The reward of row {k} is {log.reward[k]:g} in the"
-        f" log and {known[k]:g} in the simulator. The simulator's rewards are used"
+        f"The log's rewards {verb} the simulator's r(s, a, s') in {bad.size} of"
+        f" {len(log)} transitions. The reward of row {k} is {log.reward[k]:.9g} in the"
+        f" log and {known[k]:.9g} in the simulator. The simulator's rewards are used"
     )
 
 

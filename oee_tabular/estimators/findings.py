@@ -269,8 +269,14 @@ def missing_support(share: float, largest: float, nats: float) -> Findings:
     return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()
 
 
-def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
-    """Warn of rewards of the log that are not the simulator's."""
+def rewards_contradict(
+    conflict: object, *, log_pays: bool, is_rounding: bool = False
+) -> Finding:
+    """Warn of rewards of the log that are not the simulator's.
+
+    A report puts what they do to the values into the text. Of rounded rewards the
+    severity is 0.
+    """
     if log_pays:
         remedy = "oee and model-based use the log's mean reward where it was observed."
     else:
@@ -280,7 +286,9 @@ def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
         )
     text = str(conflict)
     return Finding(
-        "rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}"
+        "rewards",
+        0.0 if log_pays or is_rounding else 1.0,
+        f"{text[0].upper()}{text[1:]}.{{}} {remedy}",
     )
 
 

@@ -328,7 +328,9 @@ class Problem:
         if self.reward_conflict is not None:
             result.append(
                 findings.rewards_contradict(
-                    self.reward_conflict, log_pays=self.rewards == "log"
+                    self.reward_conflict,
+                    log_pays=self.rewards == "log",
+                    is_rounding=self.reward_conflict.is_rounding,
                 )
             )
         result += findings.behavior_contradicts(self.behavior_conflict)

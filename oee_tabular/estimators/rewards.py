@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 from oee_tabular._sparse import align, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.exact.values import largest_reward
+from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.typing import Array
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from oee_tabular.estimators.problem import Problem
 
 TOLERANCE = 1e-6  # a share of the largest reward: rewards that differ by less agree
+# a share of the largest reward: a difference that is larger is not called rounding
+MAX_ROUNDING = 0.01
+MAX_DIGITS = 9  # after the point, of rewards that may have been rounded
 
 
 @dataclass(frozen=True)
@@ -30,10 +35,13 @@ class RewardConflict:
         The number of transitions whose rewards differ.
     sentence : str
         A sentence about it, which ``str`` returns.
+    is_rounding : bool, default False
+        Whether the log's rewards may be the simulator's, rounded (``is_rounded``).
     """
 
     rows: int
     sentence: str
+    is_rounding: bool = False
 
     def __str__(self) -> str:
         return self.sentence
@@ -120,9 +128,64 @@ def conflict(
     # an upper bound
     at_most = "up to " if (least[differ] < most[differ]).any() else ""
     where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
+    is_known = ~np.isnan(far)  # some transitions may lack their reward
+    is_rounding = is_rounded(far[is_known], expected[is_known])
+    verb = "are rounded from" if is_rounding else "contradict"
     sentence = (
-        f"the log's rewards contradict the simulator's in {at_most}{rows} of"
+        f"the log's rewards {verb} the simulator's in {at_most}{rows} of"
         f" {len(log)} transitions ({moves.shape[1]} distinct; the reward of {where} is"
-        f" {far[k]:g} in the log, {expected[k]:g} in the simulator)"
+        f" {far[k]:.9g} in the log, {expected[k]:.9g} in the simulator)"
     )
-    return RewardConflict(rows, sentence)
+    return RewardConflict(rows, sentence, is_rounding)
+
+
+def is_rounded(rewards: Array, exact: Array) -> bool:
+    """Say whether rewards may be the exact ones, rounded to some digits.
+
+    They differ by at most half a unit of the last digit that the rewards have, and by
+    at most a hundredth of the largest reward: 0 and 1 are not 0.4 rounded.
+
+    >>> is_rounded(np.array([0.33, 2.0]), np.array([1 / 3, 2.0]))
+    True
+    >>> is_rounded(np.array([0.0, 1.0]), np.array([0.4, 1.0]))
+    False
+    """
+    gap = float(np.abs(rewards - exact).max())
+    scale = float(np.abs(exact).max())
+    if not gap <= MAX_ROUNDING * scale:
+        return False
+    for digits in range(MAX_DIGITS + 1):
+        # more digits are a smaller unit
+        if gap > 0.5 * 10.0**-digits * (1.0 + 1e-6) + 1e-12 * scale:
+            return False
+        error = np.abs(rewards - np.round(rewards, digits))
+        if (error <= 1e-12 * (1.0 + np.abs(rewards))).all():
+            return True
+    return False
+
+
+def reward_effect(problem: Problem, policy: Array) -> float:
+    """Compute by how much the log's rewards change a policy's value in the simulator.
+
+    It is infinite where the value does not exist, and 0 where the rewards agree.
+    """
+    if problem.reward_conflict is None:
+        return 0.0
+    key = "reward_effect", policy.tobytes()
+    if key not in problem.cache:
+        problem.cache[key] = _compute_effect(problem, policy)
+    effect: float = problem.cache[key]
+    return effect
+
+
+def _compute_effect(problem: Problem, policy: Array) -> float:
+    """Compute what ``reward_effect`` returns, which is asked for more than once."""
+    paid = with_log_rewards(problem.simulator, problem.log)
+    try:
+        values = [
+            policy_value(mdp, policy, horizon=problem.horizon)
+            for mdp in (paid, problem.simulator)
+        ]
+    except ValueError:  # without a horizon, at discount 1
+        return math.inf
+    return values[0] - values[1]

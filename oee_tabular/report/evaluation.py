@@ -26,6 +26,7 @@ from oee_tabular.estimators.names import (
     default_names,
     named_estimators,
 )
+from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
 from oee_tabular.exact.values import largest_reward
 from oee_tabular.exceptions import ArgumentError
@@ -251,7 +252,12 @@ def evaluate(
         uncertainty = add_comparison(
             uncertainty, problem, named, level, known, front, scale
         )
-    warnings, notes = _collect_warnings(problem, results, left_out)
+    effect = ""
+    if problem.reward_conflict is not None:
+        effect = text.reward_change(
+            {name: scale * reward_effect(problem, pi) for name, pi in named.items()}
+        )
+    warnings, notes = _collect_warnings(problem, results, left_out, effect)
     about = {
         "simulator": repr(simulator),
         "log": problem.log.describe(),
@@ -545,12 +551,15 @@ def _choose_intervals(
 
 
 def _collect_warnings(
-    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+    problem: Problem,
+    results: Sequence[Result],
+    left_out: Sequence[str],
+    effect: str = "",
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
     """Return all warnings, and the numbers of those about each (policy, estimator).
 
     Warnings about the problem concern every estimate that does not average the log's
-    own episodes.
+    own episodes. ``effect`` is what other rewards do to the values.
     """
     models = [
         (result.policy, result.estimator)
@@ -559,7 +568,8 @@ def _collect_warnings(
     ]
     warnings: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
     for finding in problem.findings:
-        warnings.append((str(finding), models if finding.severity > 0 else []))
+        sentence = finding.sentence(finding.figure or effect)
+        warnings.append((sentence, models if finding.severity > 0 else []))
     return number_notes(results, [*warnings, *group_findings(results)])
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import __version__, _checks, _files
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
+# of half an interval: rewards of the log that change a value by less are not named first
+NEGLIGIBLE_SHARE = 0.05
 # columns of the report's own that (1 - discount) multiplies; diagnostics know theirs
 VALUES = {
     "value",
@@ -243,7 +246,8 @@ class Report:
 
         It states the value of a single policy, or which of several policies is worth
         most. A log that contradicts the simulator's rewards, or that covers less than
-        half of what a policy does, is named first.
+        half of what a policy does, is named first; rewards that were rounded, or change
+        each value by less than a twentieth of half its interval, are not.
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
@@ -256,11 +260,28 @@ class Report:
         conflict = None
         if self.problem is not None and self.problem.rewards != "log":
             conflict = self.problem.reward_conflict
-        if conflict is not None:
+        if conflict is not None and not self._is_conflict_small(answers):
             where = str(conflict)
             where = f"{where[0].upper()}{where[1:]}"
             sentences.insert(0, text.REWARD_CONFLICT.format(where))
         return " ".join(filter(None, sentences))
+
+    def _is_conflict_small(self, answers: Sequence[Answer]) -> bool:
+        """Say whether the log's rewards are rounded, or matter to no value."""
+        problem = self.problem
+        if problem is None or problem.reward_conflict is None:
+            return True
+        if problem.reward_conflict.is_rounding:
+            return True
+        for answer in answers:
+            known = answer.policy in self.policies
+            if answer.lower is None or answer.upper is None or not known:
+                return False
+            width = 0.5 * (answer.upper - answer.lower)
+            effect = reward_effect(problem, self.policies[answer.policy]) * self.scale
+            if not abs(effect) <= NEGLIGIBLE_SHARE * width:
+                return False
+        return True
 
     @property
     def answer(self) -> str:

@@ -280,6 +280,16 @@ def no_best_policy(
 # how sure
 
 
+def reward_change(effects: Mapping[str, float]) -> str:
+    """Say by how much other rewards change the values of policies, at most."""
+    largest = max(map(abs, effects.values()), default=math.nan)
+    if not math.isfinite(largest):
+        return ""
+    whose = "value" if len(effects) == 1 else "values"
+    most = "" if len(effects) == 1 else "at most "
+    return f" In the simulator they change the {whose} by {most}{largest:.2g}."
+
+
 def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
     rest = ""
