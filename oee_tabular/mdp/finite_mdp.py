@@ -496,6 +496,10 @@ class FiniteMDP:
 
         Notes
         -----
+        Of a simulator made of samples (``from_env``, ``from_log``), epsilon is about 1 /
+        (n + 1), n the samples of a pair: the probability of what so many samples
+        usually lack. The error of ``Problem`` gives it.
+
         In pairs (s, a) that the log has impossible transitions of, P' = (1 - eps) P +
         eps U, where U is uniform over the log's transitions from (s, a) that P gives
         probability 0; other pairs stay as they are. A new transition has the log's mean

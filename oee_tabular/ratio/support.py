@@ -112,6 +112,9 @@ def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
                 "With 1 subtracted from every state all transitions are possible:"
                 " states are numbered from 0"
             )
+    sampled = _suggest_support(moves, bad, simulator)
+    if sampled:
+        return sampled
     # Whether any action of the state leads there.
     reachable = np.zeros(len(rows), dtype=np.bool_)
     for a in range(n_actions):
@@ -153,6 +156,49 @@ def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
         f"No action leads from {here} to {there} in the simulator, so action noise does"
         f" not help{helped}. {_number_ways([give_probability, remove, *ways])}"
     )
+
+
+def _suggest_support(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
+    """Return the remedy for a simulator that was sampled, or "" for another one.
+
+    Its samples lack what is rare: the log's support is the way out.
+    """
+    if simulator.sampling is None:
+        return ""
+    rows = row_of_entry(moves)[bad]
+    epsilon = suggest_epsilon(simulator, rows)
+    if epsilon is None:
+        return ""
+    numbers = simulator.sampling.pairs[rows]
+    least, most = int(numbers.min()), int(numbers[np.isfinite(numbers)].max())
+    samples = f"{least}" if least == most else f"{least} to {most}"
+    return (
+        f"The simulator was made of samples, {samples} of each of these state-action"
+        " pairs, and lacks what is rarer: allow the log's transitions by"
+        f" simulator.with_support_of(log, {epsilon:g}) (--impossible"
+        f" allow={epsilon:g}), a probability of about one in as many samples. With more"
+        " samples (samples_per_pair) fewer of them are missing. If the target does what"
+        " the simulator never can, give that probability in the simulator, or leave it"
+        ' out with Problem(..., impossible="drop") (--impossible drop)'
+    )
+
+
+def suggest_epsilon(simulator: FiniteMDP, rows: IntArray) -> float | None:
+    """Return the probability of transitions that samples of these pairs lack.
+
+    It is 1 / (n + 1), n the median number of samples of those pairs, to two digits: the
+    value of p at which p (1 - p)^n, the mean probability that n samples leave out, is
+    largest. Values and intervals hardly depend on it within a factor of 3. None where
+    no pair was sampled, or the simulator is known exactly.
+    """
+    if simulator.sampling is None:
+        return None
+    numbers = simulator.sampling.pairs[rows]
+    finite = numbers[np.isfinite(numbers)]
+    if not finite.size:
+        return None
+    n = max(float(np.median(finite)), 1.0)
+    return float(f"{1.0 / (n + 1.0):.2g}")
 
 
 def _number_ways(ways: list[str]) -> str:
