@@ -194,10 +194,11 @@ def suggest_epsilon(simulator: FiniteMDP, rows: IntArray) -> float | None:
     if simulator.sampling is None:
         return None
     numbers = simulator.sampling.pairs[rows]
-    finite = numbers[np.isfinite(numbers)]
-    if not finite.size:
+    if not np.isfinite(numbers).any():
         return None
-    n = max(float(np.median(finite)), 1.0)
+    # a pair that was never sampled was filled in, and says nothing
+    known = numbers[np.isfinite(numbers) & (numbers > 0)]
+    n = float(np.median(known)) if known.size else 1.0
     return float(f"{1.0 / (n + 1.0):.2g}")
 
 

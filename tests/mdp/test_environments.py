@@ -233,7 +233,7 @@ def test_numbers_that_begin_at_1_stay():
 
 def test_booleans_and_integers_without_a_space_are_numbers():
     two = {"see": lambda place: np.bool_(place > 0), "observations": None}
-    assert sample(Line(**two)).n_states == 2
+    assert len(sample(Line(**two)).terminal_state) == 2
     assert sample(Line(see=float, observations=None)).state_names is None
 
 

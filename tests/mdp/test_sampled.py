@@ -2,6 +2,9 @@
 for a log's transitions.
 """
 
+import pickle
+import re
+
 import gymnasium
 import numpy as np
 import pytest
@@ -358,6 +361,53 @@ def test_only_rows_with_impossible_transitions_change(form):
         assert_allclose(allowing.rewards[0, 0], 0.8 * -1 + 0.1 * 5 + 0.1 * 7)
     else:
         assert_array_equal(allowing.rewards, simulator.rewards)
+
+
+def test_epsilon_is_shared_by_the_new_transitions_of_each_pair_alone():
+    """Two new transitions of one pair, one of another: each pair has 0.2 in all."""
+    log = Transitions([0, 0, 1, 1], [0, 0, 1, 1], [1, 2, 0, 1])
+    rows = dense(still(2).with_support_of(log, 0.2))
+    assert_allclose(rows[0, 0], [0.8, 0.1, 0.1], rtol=1e-15)
+    assert_allclose(rows[1, 1], [0.2, 0.8, 0.0], rtol=1e-15)
+    assert_allclose(rows.sum(axis=2), 1.0, rtol=1e-15)
+
+
+def told(simulator, log):
+    """The epsilon of the error about the log's impossible transitions, or None."""
+    with pytest.raises(ValueError, match="must stay in the simulator's support") as got:
+        oee.Problem(simulator, log)
+    text = str(got.value)
+    found = re.findall(r"with_support_of\(log, ([\d.e-]+)\)", text)
+    assert ("was made of samples" in text) == bool(found)
+    assert all(f"--impossible allow={epsilon})" in text for epsilon in found)
+    return float(found[0]) if found else None
+
+
+@pytest.mark.parametrize("n", [1, 4, 30, 1000])
+def test_a_sampled_simulator_s_error_gives_its_own_remedy(n, tmp_path):
+    """It survives files, pickles and other discounts; a known one has all remedies."""
+    rows = Transitions([0] * n + [1], [0] * (n + 1), [0] * n + [1], [1.0] * (n + 1))
+    sampled = FiniteMDP.from_log(rows, n_states=3)
+    log = Transitions([0], [0], [1])
+    sampled.save(tmp_path / "sampled.npz")
+    for simulator in (
+        sampled,
+        FiniteMDP.load(tmp_path / "sampled.npz"),
+        pickle.loads(pickle.dumps(sampled)),
+        sampled.with_discount(0.5),
+        sampled.with_rewards(np.zeros((3, 1))),
+        sampled.with_names(["a", "b", "c"]),
+        sampled.with_initial(1),
+        sampled.with_action_noise(0.1),
+    ):
+        assert told(simulator, log) == float(f"{1 / (n + 1):.2g}")
+    epsilon = told(sampled, log)
+    oee.Problem(sampled.with_support_of(log, epsilon), log)
+    assert told(sampled.with_transitions(sampled.transitions), log) is None
+    # of a pair that was never sampled, and of a terminal state
+    assert told(sampled, Transitions([2], [0], [1])) == 0.5
+    over = FiniteMDP.from_log(Transitions([0], [0], [1], [1.0], terminated=[1]))
+    assert told(over, Transitions([1], [0], [0])) is None
 
 
 def test_without_rewards_in_the_log_new_transitions_have_the_pair_s_reward():

@@ -3,6 +3,7 @@ takes.
 """
 
 import json
+import re
 import math
 from typing import get_args
 
@@ -173,6 +174,72 @@ def test_reward_conflicts_are_noted_with_the_remedy_on_every_value_that_a_model_
     assert "use the log's mean" in settled.warnings[0]
     assert all(1 not in notes for notes in settled.notes.values())
     assert settled.headline.startswith("In the target")
+
+
+PAID = np.random.default_rng(0).normal(size=(SMALL.n_states, 4))
+
+
+def evaluated(change, scale=1.0):
+    """The headline and warnings of a log whose rewards are changed."""
+    pay = scale * PAID * ~SMALL.absorbing()[:, None]
+    simulator = SMALL.with_rewards(pay)
+    log = oee.sample_episodes(simulator, UNIFORM, 40, 30, seed=0)
+    log = oee.Transitions(**(log.columns() | {"reward": change(log.reward)}))
+    report = oee.evaluate(
+        Problem(simulator, log, horizon=30), UNIFORM, estimators=["oee", "simulator"]
+    )
+    return report, [text for text in report.warnings if "rewards" in text]
+
+
+@pytest.mark.parametrize(
+    ("change", "scale"),
+    [
+        (lambda r: np.round(r, 2), 1.0),
+        (lambda r: np.round(r, 3), 1.0),
+        (lambda r: np.round(r, 4), 0.1),
+        (np.round, 300.0),  # in cents
+    ],
+)
+def test_rounded_rewards_are_a_note_with_their_effect(change, scale):
+    report, notes = evaluated(change, scale)
+    assert report.headline.startswith("In the target")
+    assert re.search(
+        r"^The log's rewards are rounded from the simulator's in \d+ of \d+ transitions"
+        r" \(.* is [\d.-]+ in the log, [\d.-]+ in the simulator\)\. In the simulator"
+        r" they change the value by [\de.-]+\. ",
+        notes[0],
+    )
+    assert not any(1 in numbers for numbers in report.notes.values())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        np.float32,
+        np.float16,
+        lambda r: np.trunc(1000 * r) / 1000,
+        lambda r: r + 1e-5,
+    ],
+)
+def test_rewards_whose_effect_is_small_are_not_in_the_headline(change):
+    report, notes = evaluated(change)
+    assert report.headline.startswith("In the target")
+    assert all("In the simulator they change the value by" in text for text in notes)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r + 0.5,
+        lambda r: -r,
+        lambda r: np.round(r),  # an effect of its own
+        lambda r: 10 * r,
+    ],
+)
+def test_rewards_that_matter_stay_in_the_headline(change):
+    report, notes = evaluated(change)
+    assert report.headline.startswith("The log's rewards contradict the simulator's in")
+    assert "they change the value by" in notes[0]
 
 
 def test_saving_writes_all_or_nothing(problem, report, tmp_path, monkeypatch):
