@@ -16,8 +16,8 @@ package answers with exact linear algebra and certified convex programs.
 -3.6
 """
 
-from __future__ import annotations
-
+# "python -m oee_tabular" runs this file with the current folder first on the path:
+# "from __future__" would be imported from there; importlib is there already
 import importlib
 
 # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
@@ -152,7 +152,7 @@ _ROOM_OF = {name: room for room, names in _EXPORTS.items() for name in (room, *n
 __all__ = sorted(_ROOM_OF)  # noqa: PLE0605
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _ROOM_OF:
         raise AttributeError(f"module 'oee_tabular' has no attribute {name!r}")
     path = _ROOM_OF[name].replace("bench", "lab.bench")

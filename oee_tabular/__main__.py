@@ -1,12 +1,23 @@
 """The command ``oee``, started by ``python -m oee_tabular``."""
 
-from __future__ import annotations
-
+# Python has imported these two already, or has them built in
 import os
-import signal
 import sys
 
+if __name__ == "__main__":
+    # "python -m" puts the current folder first, where a signal.py or a numpy.py would
+    # take the place of the installed module
+    try:
+        _current = os.getcwd()
+    except OSError:  # the folder was removed
+        _current = ""
+    if sys.path[:1] in ([""], [_current]):
+        _first = sys.path.pop(0)
+        if os.path.dirname(os.path.dirname(os.path.abspath(__file__))) == _current:
+            sys.path.append(_first)  # the package itself is there
+
 # nothing else is imported here, because Ctrl-C during these imports is not caught
+import signal
 
 INTERRUPTED = 130  # the shell's exit code of a process that Ctrl-C ended
 
@@ -20,6 +31,10 @@ def main() -> None:
     handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handled:
         signal.signal(signal.SIGINT, _leave)
+    _open_streams()
+    from oee_tabular._isolation import ignore_settings
+
+    ignore_settings()
     from oee_tabular.cli import main as command
 
     try:
@@ -36,6 +51,21 @@ def main() -> None:
 def _leave(*_: object) -> None:
     """End the process at once, because there is nothing to clean up."""
     os._exit(INTERRUPTED)
+
+
+def _open_streams() -> None:
+    """Open the null device in place of standard streams that are closed.
+
+    Else the next file would get their number, and what libraries print would be written
+    into it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")
 
 
 if __name__ == "__main__":

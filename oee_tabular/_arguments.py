@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
@@ -134,13 +135,39 @@ def literal(text: str, name: str = "an argument") -> Any:
 
 @contextmanager
 def own_modules() -> Iterator[None]:
-    """Let modules of the current directory be imported like installed ones."""
+    """Let modules of the current directory be imported like installed ones.
+
+    Installed ones come first: whatever this package imports inside is its own.
+    """
     folder = os.getcwd()
+    if folder in sys.path:
+        yield
+        return
+    sys.path.append(folder)
+    try:
+        yield
+    finally:
+        # backwards, for a module may have put the same folder first
+        sys.path.reverse()
+        if folder in sys.path:
+            sys.path.remove(folder)
+        sys.path.reverse()
+
+
+@contextmanager
+def own_module_first(module_name: str) -> Iterator[None]:
+    """Prefer the current directory to what is installed, if it has this module."""
+    folder = os.getcwd()
+    package = module_name.partition(".")[0]
+    if PathFinder.find_spec(package, [folder]) is None:
+        yield
+        return
     sys.path.insert(0, folder)
     try:
         yield
     finally:
-        sys.path.remove(folder)
+        if folder in sys.path:
+            sys.path.remove(folder)
 
 
 def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
@@ -188,7 +215,8 @@ def _list_public(holder: object) -> str:
 def own_module(module_name: str) -> ModuleType:
     """Import the module of that name; a failure is a ValueError."""
     try:
-        return importlib.import_module(module_name)
+        with own_module_first(module_name):
+            return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         # in other cases the module was found, and imports one that is missing
         if error.name is not None and (

@@ -18,6 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from oee_tabular._isolation import begin_worker, safe_children
 from oee_tabular.typing import Array
 
 Parameters = ParamSpec("Parameters")
@@ -146,11 +147,14 @@ def backend(jobs: int, dask: str | None) -> Iterator[Any]:
     elif jobs == 1:
         yield None
     else:
-        with joblib.parallel_config(
-            "loky",
-            inner_max_num_threads=1,
-            initializer=end_with_parent,
-            initargs=(os.getpid(),),
+        with (
+            safe_children() as inherited,
+            joblib.parallel_config(
+                "loky",
+                inner_max_num_threads=1,
+                initializer=_begin_worker,
+                initargs=(os.getpid(), *inherited()),
+            ),
         ):
             yield None
 
@@ -167,6 +171,12 @@ def _connect(address: str) -> Any:
         return Client(address, timeout=CONNECT, set_as_default=True)  # type: ignore[no-untyped-call]
     except Exception as error:  # another server may answer anything
         raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
+
+
+def _begin_worker(parent: int, is_command: bool, safe_path: str | None) -> None:
+    """Prepare a process of joblib's."""
+    begin_worker(is_command, safe_path)
+    end_with_parent(parent)
 
 
 def end_with_parent(parent: int, *, with_group: bool = False) -> None:

@@ -34,7 +34,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
-from oee_tabular._arguments import own_modules
+from oee_tabular._arguments import own_module_first, own_modules
 from oee_tabular._checks import show
 from oee_tabular._parallel import backend, parallel
 from oee_tabular._progress import progress_bar
@@ -94,12 +94,13 @@ def code_version(*modules: str) -> str:
     for path in sorted(path for path in PACKAGE.rglob("*") if path.suffix in kinds):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
-    with own_modules():
-        for spec in map(importlib.util.find_spec, modules):
-            if spec is None or spec.origin is None:
-                continue
-            if Path(spec.origin).is_file():
-                digest.update(Path(spec.origin).read_bytes())
+    for name in modules:
+        with own_modules(), own_module_first(name):
+            spec = importlib.util.find_spec(name)
+        if spec is None or spec.origin is None:
+            continue
+        if Path(spec.origin).is_file():
+            digest.update(Path(spec.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
 
 

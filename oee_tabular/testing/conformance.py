@@ -21,6 +21,7 @@ from typing import Any
 from oee_tabular import _checks
 from oee_tabular._arguments import module_and_path, own_modules, own_object
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._isolation import call_in_worker, safe_children
 from oee_tabular._parallel import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
@@ -310,8 +311,13 @@ def _process(
     """
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
-    process = context.Process(target=_run, args=(writer, spec, seed, repetitions, laws))
-    process.start()
+    with safe_children() as inherited:
+        process = context.Process(
+            target=call_in_worker,
+            args=(inherited(), __name__, _run.__name__)
+            + (writer, spec, seed, repetitions, laws),
+        )
+        process.start()
     writer.close()
 
     def answer(seconds: float) -> Any:

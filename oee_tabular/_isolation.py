@@ -1,0 +1,121 @@
+"""What the command keeps away: modules and settings of the folder it is started in.
+
+Python, numba, matplotlib and the helpers of joblib and multiprocessing look into the
+current folder for modules or settings. A folder of logs from somebody else must not
+decide what the command runs. What a user names as MODULE:OBJECT is imported from the
+current folder by ``_arguments``.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+# module -> the file of settings that it looks for in the current folder while it is
+# imported
+SETTINGS = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+SAFE_PATH = "PYTHONSAFEPATH"  # lets Python leave the current folder out of its path
+
+
+class _Finder:
+    """A finder that lets the modules of ``SETTINGS`` find no file of settings."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        """Return another finder's spec, of a loader that hides the file."""
+        if name not in SETTINGS:
+            return None
+        for finder in sys.meta_path:
+            if not isinstance(finder, _Finder):
+                spec = finder.find_spec(name, path, target)
+                if spec is not None and spec.loader is not None:
+                    loader: Any = spec.loader
+                    loader.exec_module = functools.partial(_execute, loader.exec_module)
+                    return spec
+        return None
+
+
+def _execute(execute: Callable[[Any], object], module: Any) -> None:
+    """Execute a module for which its file of settings does not exist."""
+    hidden = SETTINGS[module.__name__]
+    exists = os.path.exists
+
+    def exists_elsewhere(path: Any) -> bool:
+        """Return whether a path exists that is not the hidden file."""
+        return path != hidden and exists(path)
+
+    os.path.exists = exists_elsewhere
+    try:
+        execute(module)
+    finally:
+        os.path.exists = exists
+    if module.__name__ == "numba.core.config":
+        # numba looks again at each compilation, where it must find no file
+        module._config_fname = os.devnull
+
+
+def ignore_settings() -> None:
+    """Let this process ignore settings of the current folder from now on."""
+    if not is_isolated():
+        sys.meta_path.insert(0, _Finder())  # type: ignore[arg-type]
+
+
+def is_isolated() -> bool:
+    """Return whether this process ignores settings of the current folder."""
+    return any(isinstance(finder, _Finder) for finder in sys.meta_path)
+
+
+@contextmanager
+def safe_children() -> Iterator[Callable[[], tuple[bool, str | None]]]:
+    """Let Python processes that start inside import nothing of the current folder.
+
+    Yields
+    ------
+    callable
+        What ``begin_worker`` takes in such a process.
+    """
+    before = os.environ.get(SAFE_PATH)
+    streams = sys.stdout, sys.stderr
+    os.environ[SAFE_PATH] = "1"
+    with open(os.devnull, "w") as nowhere:
+        # joblib flushes both, which are None in a service
+        sys.stdout = streams[0] or nowhere
+        sys.stderr = streams[1] or nowhere
+        try:
+            yield lambda: (is_isolated(), before)
+        finally:
+            if sys.stdout is nowhere:
+                sys.stdout = streams[0]
+            if sys.stderr is nowhere:
+                sys.stderr = streams[1]
+            _set_safe_path(before)
+
+
+def _set_safe_path(value: str | None) -> None:
+    """Set the variable of the environment, or remove it."""
+    if value is None:
+        os.environ.pop(SAFE_PATH, None)
+    else:
+        os.environ[SAFE_PATH] = value
+
+
+def begin_worker(is_command: bool, safe_path: str | None) -> None:
+    """Isolate a new process like the one that started it.
+
+    What a user's own code starts there has the user's environment again.
+    """
+    _set_safe_path(safe_path)
+    if is_command:
+        ignore_settings()
+
+
+def call_in_worker(
+    inherited: tuple[bool, str | None], module: str, name: str, *args: Any
+) -> None:
+    """Call a function of a module that is imported once the process is isolated."""
+    begin_worker(*inherited)
+    getattr(importlib.import_module(module), name)(*args)
