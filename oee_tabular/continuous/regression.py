@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import linalg
 from scipy.special import ndtr
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import draw_rows

@@ -7,9 +7,9 @@ the door of the room (``oee_tabular.design``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
+from oee_tabular._compiling import njit
 from oee_tabular._sparse import (
     align,
     canonical,

@@ -36,7 +36,8 @@ states and are read as such.
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 LANES = 32  # states of a strip
 PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho

@@ -5,7 +5,8 @@ elimination fills, before anything is solved.
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 
 @njit(cache=True)

@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular.exact._system import (
     average_rewards,
     largest_magnitude,

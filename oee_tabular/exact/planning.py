@@ -13,9 +13,9 @@ Reference: [1] Puterman, Markov Decision Processes, 1994.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.direct import EnvelopeLU

@@ -13,8 +13,8 @@ best for v are
 from math import log1p
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._compiling import njit
 from oee_tabular.inference.robust import greedy_row
 
 # The numbers of an ascent are a record, whose fields are attributes without numba too:

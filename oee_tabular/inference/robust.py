@@ -37,10 +37,10 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 from scipy import special
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular._parallel import dot
 from oee_tabular.exact.reach import reached_states
 from oee_tabular.exact.system import policy_system, recurrent_states

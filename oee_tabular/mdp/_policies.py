@@ -3,7 +3,7 @@
 It takes .2 us where numpy takes 6.4 (4 states, 2 actions).
 """
 
-from numba import njit
+from oee_tabular._compiling import njit
 
 
 @njit(cache=True)

@@ -13,7 +13,8 @@ constraints all show.
 from math import log1p
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 
 @njit(cache=True, error_model="numpy")

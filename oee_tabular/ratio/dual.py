@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate
 from oee_tabular.typing import Array, IntArray

@@ -31,9 +31,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 
 from oee_tabular import _checks
+from oee_tabular._compiling import njit
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate, statements

@@ -19,7 +19,8 @@ Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 _WHOLE = 1 << 62
 _LOW = np.uint64(0xFFFFFFFF)

@@ -20,8 +20,8 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import module_and_path, own_modules, own_object
-from oee_tabular._keywords import suggest_keywords
 from oee_tabular._isolation import call_in_worker, safe_children
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
@@ -314,8 +314,10 @@ def _process(
     with safe_children() as inherited:
         process = context.Process(
             target=call_in_worker,
-            args=(inherited(), __name__, _run.__name__)
-            + (writer, spec, seed, repetitions, laws),
+            args=(
+                *(inherited(), __name__, _run.__name__),
+                *(writer, spec, seed, repetitions, laws),
+            ),
         )
         process.start()
     writer.close()

@@ -25,8 +25,8 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._compiling import njit
 from oee_tabular.exact._system import add_entry, multiply, transpose_rows
 from oee_tabular.exact.system import Kernel, Solve, System
 from oee_tabular.typing import Array

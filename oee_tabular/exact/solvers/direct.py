@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
+from oee_tabular._compiling import njit
 from oee_tabular.exact import _system
 from oee_tabular.exact.system import KernelRows, Solve, System
 from oee_tabular.typing import Array

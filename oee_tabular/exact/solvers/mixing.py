@@ -31,8 +31,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._compiling import njit
 from oee_tabular.exact._system import multiply
 from oee_tabular.exact.system import Solve, System
 

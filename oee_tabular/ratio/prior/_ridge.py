@@ -12,7 +12,8 @@ in loops.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 # The largest number of steps of Newton's method.
 N_NEWTON = 50

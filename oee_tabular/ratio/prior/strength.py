@@ -25,8 +25,8 @@ from math import exp, log, log1p
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._compiling import njit
 from oee_tabular.mdp.rows import Rows, distinct_rows
 from oee_tabular.typing import Array, IntArray
 

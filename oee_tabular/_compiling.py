@@ -1,0 +1,151 @@
+"""Compiled kernels: numba's ``njit`` with a cache that never stands in the way.
+
+numba keeps compiled code beside the package's files, or else in the user's cache
+folder, and loads it from there as pickles. Where neither can be written (a read-only
+image, a process without a home), numba raises an error. Here a temporary folder is
+used that belongs to the user alone; without one, code is compiled at each start.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import stat
+import tempfile
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba.core import config
+from numba.misc.appdirs import AppDirs
+
+from oee_tabular import _checks
+from oee_tabular.exceptions import CostWarning
+
+
+def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Make a decorator like ``numba.njit``, which works without a folder to cache in.
+
+    Parameters
+    ----------
+    cache : bool
+        Whether compiled code is kept in files.
+    **options : Any
+        Other options of ``numba.njit``.
+
+    Returns
+    -------
+    callable
+        The decorator.
+    """
+
+    def compile_on_call(function: Callable[..., Any]) -> Any:
+        """Return the kernel, which is compiled when it is first called."""
+        kernel = numba.njit(**options)(function)
+        # with NUMBA_DISABLE_JIT, it is the function
+        if cache and hasattr(kernel, "enable_caching"):
+            _enable_cache(kernel)
+        return kernel
+
+    return compile_on_call
+
+
+def _enable_cache(kernel: Any) -> None:
+    """Let a kernel keep its code where numba keeps it, else in a temporary folder."""
+    folder = os.path.dirname(os.path.abspath(kernel.py_func.__code__.co_filename))
+    if config.CACHE_DIR or _is_writable(folder) or _has_user_folder():
+        with contextlib.suppress(RuntimeError):
+            kernel.enable_caching()
+            _tolerate_errors(kernel._cache)
+            return
+    temporary = temporary_cache()
+    if temporary is not None:
+        before = config.CACHE_DIR
+        config.CACHE_DIR = temporary
+        try:
+            kernel.enable_caching()
+            _tolerate_errors(kernel._cache)
+            return
+        except RuntimeError:
+            pass
+        finally:
+            config.CACHE_DIR = before
+    _warn_once()
+
+
+def _is_writable(folder: str) -> bool:
+    """Return whether numba can write beside the files of a folder."""
+    inside = os.path.join(folder, "__pycache__")
+    return os.access(inside if os.path.isdir(inside) else folder, os.W_OK)
+
+
+def _has_user_folder() -> bool:
+    """Return whether numba knows the user's cache folder.
+
+    Without a home, its path is relative: code would be loaded from the current folder.
+    """
+    return os.path.isabs(AppDirs("numba", False).user_cache_dir)
+
+
+@functools.cache
+def temporary_cache() -> str | None:
+    """Make a folder for compiled code that nobody else can write into.
+
+    Returns
+    -------
+    str or None
+        Its path; None if there is none that is certain to be the user's own.
+    """
+    if not hasattr(os, "geteuid"):  # Windows, where every user has a folder
+        return None
+    try:
+        parent = tempfile.gettempdir()
+        # without temporary folders, Python names the current one
+        if os.path.samefile(parent, os.curdir):
+            return None
+        path = os.path.join(parent, f"oee-tabular-{os.geteuid()}")
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(path, 0o700)
+        found = os.lstat(path)
+    except OSError:
+        return None
+    is_own = (
+        stat.S_ISDIR(found.st_mode)
+        and found.st_uid == os.geteuid()
+        and not found.st_mode & 0o077
+    )
+    return path if is_own else None
+
+
+@functools.cache
+def _warn_once() -> None:
+    """Warn that code is not kept."""
+    _checks.warn(
+        "compiled code cannot be kept, so each start compiles it again (name a folder"
+        " that can be written in NUMBA_CACHE_DIR)",
+        CostWarning,
+    )
+
+
+def _tolerate_errors(cache: Any) -> None:
+    """Let a cache that is damaged, or on a full disk, count as empty."""
+    load = cache.load_overload
+    save = cache.save_overload
+
+    def load_if_whole(*args: Any) -> Any:
+        """Return what the cache holds, or None."""
+        try:
+            return load(*args)
+        except Exception:  # pickles may raise anything
+            with contextlib.suppress(Exception):
+                cache.flush()
+            return None
+
+    def save_if_possible(*args: Any) -> None:
+        """Keep compiled code if it can be written."""
+        with contextlib.suppress(OSError):
+            save(*args)
+
+    cache.load_overload = load_if_whole
+    cache.save_overload = save_if_possible
