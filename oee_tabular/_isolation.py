@@ -79,20 +79,40 @@ def safe_children() -> Iterator[Callable[[], tuple[bool, str | None]]]:
         What ``begin_worker`` takes in such a process.
     """
     before = os.environ.get(SAFE_PATH)
-    streams = sys.stdout, sys.stderr
     os.environ[SAFE_PATH] = "1"
-    with open(os.devnull, "w") as nowhere:
-        # joblib flushes both, which are None in a service
-        sys.stdout = streams[0] or nowhere
-        sys.stderr = streams[1] or nowhere
-        try:
+    try:
+        with _streams_that_flush():
             yield lambda: (is_isolated(), before)
+    finally:
+        _set_safe_path(before)
+
+
+@contextmanager
+def _streams_that_flush() -> Iterator[None]:
+    """Replace standard streams that joblib cannot flush, such as None in a service."""
+    with open(os.devnull, "w") as nowhere:
+        replaced = {
+            name: stream
+            for name in ("stdout", "stderr")
+            if not _can_flush(stream := getattr(sys, name))
+        }
+        for name in replaced:
+            setattr(sys, name, nowhere)
+        try:
+            yield
         finally:
-            if sys.stdout is nowhere:
-                sys.stdout = streams[0]
-            if sys.stderr is nowhere:
-                sys.stderr = streams[1]
-            _set_safe_path(before)
+            for name, stream in replaced.items():
+                if getattr(sys, name) is nowhere:
+                    setattr(sys, name, stream)
+
+
+def _can_flush(stream: Any) -> bool:
+    """Return whether a stream can be flushed now."""
+    try:
+        stream.flush()
+    except (AttributeError, OSError, ValueError):  # None, gone, closed
+        return False
+    return True
 
 
 def _set_safe_path(value: str | None) -> None:

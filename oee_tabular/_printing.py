@@ -5,10 +5,69 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from html import escape
+from typing import TextIO
 
 # the unit of a value, unless something else is said
 SUM = "discounted sum of rewards, not normalised"
+# what this package prints beyond ASCII, as streams of other encodings show it
+LOOK_ALIKES = {
+    "\N{MINUS SIGN}": "-",
+    "\N{EN DASH}": "-",
+    "\N{EM DASH}": "-",
+    "\N{LEFT DOUBLE QUOTATION MARK}": '"',
+    "\N{RIGHT DOUBLE QUOTATION MARK}": '"',
+    "\N{LEFT SINGLE QUOTATION MARK}": "'",
+    "\N{RIGHT SINGLE QUOTATION MARK}": "'",
+    "\N{HORIZONTAL ELLIPSIS}": "...",
+    "\N{NO-BREAK SPACE}": " ",
+    "\N{MULTIPLICATION SIGN}": "x",
+    "\N{DIVISION SIGN}": "/",
+    "\N{PLUS-MINUS SIGN}": "+-",
+    "\N{RIGHTWARDS ARROW}": "->",
+    "\N{SUPERSCRIPT TWO}": "^2",
+    "\N{LESS-THAN OR EQUAL TO}": "<=",
+    "\N{GREATER-THAN OR EQUAL TO}": ">=",
+    "\N{ALMOST EQUAL TO}": "~",
+}
 _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
+
+
+def print_text(text: str, stream: TextIO | None) -> None:
+    """Print text on a stream of any encoding, at once; None prints nothing.
+
+    Letters that the encoding lacks are replaced by look-alikes, or escaped as Python
+    does: none is lost, and none is an error.
+    """
+    if stream is not None:
+        print(fit(text, getattr(stream, "encoding", None)), file=stream, flush=True)
+
+
+def fit(text: str, encoding: str | None) -> str:
+    r"""Replace the letters that an encoding lacks.
+
+    >>> fit("“x” − π", "ascii"), fit("“x” − π", "cp437")
+    ('"x" - \\u03c0', '"x" - π')
+    """
+    if encoding is None or _has(encoding, text):
+        return text
+    return "".join(
+        letter
+        if _has(encoding, letter)
+        else LOOK_ALIKES.get(letter)
+        or letter.encode("ascii", "backslashreplace").decode()
+        for letter in text
+    )
+
+
+def _has(encoding: str, text: str) -> bool:
+    """Return whether an encoding has all the letters of a text."""
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    except LookupError:  # a stream with an encoding of its own
+        return True
+    return True
 
 
 def spec(lower: float, upper: float) -> str:

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 SECONDS = 2.0  # between two looks at the step that is being done
@@ -31,7 +31,23 @@ def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
 
     # None disables the bar unless stderr is a terminal
     defaults: dict[str, Any] = {"disable": None, "delay": SECONDS, "leave": False}
-    return tqdm(items, desc=title, **(defaults | options))
+    chosen = defaults | options
+    if chosen["disable"] is None:
+        chosen["disable"] = not is_terminal(sys.stderr)
+    if sys.stderr is None:
+        chosen["disable"] = True
+    return tqdm(items, desc=title, **chosen)
+
+
+def is_terminal(stream: Any) -> bool:
+    """Return whether a stream is a terminal.
+
+    A service has None in place of a stream; that of a notebook may lack the method.
+    """
+    try:
+        return bool(stream.isatty())
+    except (AttributeError, ValueError, OSError):  # missing, closed, gone
+        return False
 
 
 def report_step(step: str) -> None:
@@ -51,7 +67,7 @@ def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
     printed unless stderr is a terminal.
     """
     global _step
-    if _step is not None or (only_terminal and not sys.stderr.isatty()):
+    if _step is not None or (only_terminal and not is_terminal(sys.stderr)):
         yield
         return
     _step = ""
@@ -71,14 +87,16 @@ def _tell_steps(is_done: threading.Event) -> None:
     start = time.monotonic()
     last = ""
     while not is_done.wait(SECONDS):
-        if _step and _step != last:
+        if _step and _step != last and sys.stderr is not None:
             from tqdm import tqdm  # whose bars stay below the line
 
             last = _step
-            tqdm.write(
-                f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr
-            )
-            sys.stderr.flush()
+            # a stream that is gone must not end the work
+            with suppress(OSError, ValueError, AttributeError):
+                tqdm.write(
+                    f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr
+                )
+                sys.stderr.flush()
 
 
 @functools.cache

@@ -30,6 +30,7 @@ __all__ = [
     "NoCellsError",
     "NumericalWarning",
     "OeeWarning",
+    "OutputWarning",
     "SimulatorWarning",
     "SolverStatusError",
     "UnknownKeywordError",
@@ -175,3 +176,7 @@ class NumericalWarning(OeeWarning, RuntimeWarning):
 
 class CostWarning(OeeWarning):
     """Warn of a call that will take long, or that is shortened without loss."""
+
+
+class OutputWarning(OeeWarning):
+    """Warn of a part of the output that is left out, such as a picture."""

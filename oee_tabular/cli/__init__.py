@@ -138,7 +138,7 @@ def print_version(is_asked: bool) -> None:
     if is_asked:
         from oee_tabular import __version__
 
-        typer.echo(f"oee {__version__}")
+        say(f"oee {__version__}")
         raise typer.Exit
 
 
@@ -164,11 +164,18 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _show_step(sentence: str) -> None:
     """Print on stderr what is being done."""
-    typer.echo(f"oee: {sentence}", err=True)
+    say(f"oee: {sentence}", err=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; a user's error is one line on stderr and exit code 2."""
+    if sys.stdout is None or getattr(sys.stdout, "closed", False):
+        say(
+            "oee: standard output is closed, so nothing can be shown (send it to a"
+            " file: > result.txt)",
+            err=True,
+        )
+        sys.exit(2)
     # the last garbage collection of the interpreter would take 0.2 s
     atexit.register(gc.freeze)
     warnings.showwarning = _show_warning

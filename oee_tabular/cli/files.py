@@ -12,6 +12,7 @@ import typer
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
+from oee_tabular._progress import is_terminal
 from oee_tabular.cli.inputs import describe_new, policy_of, task_of, write_array
 from oee_tabular.cli.options import (
     INPUT,
@@ -331,7 +332,7 @@ def counts(
         output=output,
         jobs=jobs,
         dask=dask,
-        progress=sys.stderr.isatty(),
+        progress=is_terminal(sys.stderr),
         **asked,
     )
     reasons = counted.recording.reasons

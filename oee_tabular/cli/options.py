@@ -7,10 +7,15 @@ Option names stand in backticks, which the terminal leaves out.
 from __future__ import annotations
 
 import json
+import os
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Annotated
 
 import typer
+
+from oee_tabular._printing import print_text
 
 INPUT = "Input"
 VALUE = "Value"
@@ -197,11 +202,24 @@ JsonOption = Annotated[
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print lines, with control characters of file and column names escaped."""
+    """Print lines, with control characters of file and column names escaped.
+
+    Letters that the stream's encoding lacks become look-alikes. If the reader of
+    standard output is gone (``oee evaluate | head -1``), the command ends quietly.
+    """
     # imports numpy, which the help does without
     from oee_tabular._checks import escape_controls
 
-    typer.echo(escape_controls(text, keep="\n"), err=err)
+    shown = escape_controls(text, keep="\n")
+    try:
+        print_text(shown, sys.stderr if err else sys.stdout)
+    except BrokenPipeError:
+        if err:
+            return
+        # what is left in its buffer would be an error at the end of the process
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(2)
 
 
 def print_result(text: str, record: Mapping[str, object], as_json: bool) -> None:
@@ -218,4 +236,4 @@ def print_result(text: str, record: Mapping[str, object], as_json: bool) -> None
     from oee_tabular.report.files import plain
 
     content = plain({"version": __version__} | dict(record))
-    typer.echo(json.dumps(content, indent=2, allow_nan=False))
+    say(json.dumps(content, indent=2, allow_nan=False))

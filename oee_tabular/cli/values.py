@@ -291,10 +291,13 @@ def evaluate(
             common=common,
         )
     record = made.to_dict() if as_json else {}
-    print_result(made.to_text(all=show_all, verbose=verbose), record, as_json)
-    written = _write_report(made, output, page, title)
+    try:
+        print_result(made.to_text(all=show_all, verbose=verbose), record, as_json)
+    finally:
+        # the files are written whatever becomes of standard output
+        written = _write_report(made, output, page, title)
     if written and not as_json:
-        typer.echo(f"\nWritten: {', '.join(written)}")
+        say(f"\nWritten: {', '.join(written)}")
 
 
 def _read_page(

@@ -7,6 +7,7 @@ the same bits.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -117,7 +118,8 @@ def open_log(
     files = find_log_files(path)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
-    shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
+    is_quiet = not progress or sys.stderr is None
+    shown = tqdm(results, "counting", len(files), unit="file", disable=is_quiet)
     result = _add_files(files, shown, limits.kept)
     if output is not None:
         result.save(output)

@@ -21,7 +21,7 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular.plots import plot_curves
-from oee_tabular.plots.style import INK
+from oee_tabular.plots.style import INK, draw_or_warn, own_style
 
 Scalar = float | int | str | bool
 Cell = Mapping[str, Any]  # name -> Scalar
@@ -454,14 +454,14 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
         share_legend(figure)
         set_title(figure, finding)
 
+    pictures = draw_or_warn(
+        f"the figure of {experiment.id}", lambda: draw_bytes(draw, salt=experiment.id)
+    )
     return {
         "table.csv": _files.csv_bytes(table),
         "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
         "summary.md": page(settings, finding, summary).encode(),
-        **{
-            f"figure.{kind}": content
-            for kind, content in draw_bytes(draw, salt=experiment.id).items()
-        },
+        **{f"figure.{kind}": content for kind, content in (pictures or {}).items()},
     }
 
 
@@ -469,12 +469,11 @@ def draw_bytes(
     draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
 ) -> dict[str, bytes]:
     """Return the bytes of the figure that ``draw`` makes, by kind, without a date."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
     metadata: dict[str, object] = {"svg": {"Date": None}, "png": {"Software": None}}
     contents = {}
-    with mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none"}):
+    with own_style({"svg.hashsalt": salt, "svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
         draw(figure)
         for kind in kinds:

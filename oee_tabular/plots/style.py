@@ -6,18 +6,21 @@ import html
 import io
 import itertools
 import re
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, OutputWarning
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.text import Text
+
+Picture = TypeVar("Picture")
 
 # Okabe and Ito's, then grey and brown; marker and line of the same index go with them,
 # so that colour is never alone
@@ -172,13 +175,43 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
+@contextmanager
+def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Draw inside with matplotlib's defaults and these settings.
+
+    A user's own (LaTeX for all texts, a backend that is missing) are left out, and are
+    the same as before at the end.
+    """
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(settings or {})
+        yield
+
+
+def draw_or_warn(name: str, draw: Callable[[], Picture]) -> Picture | None:
+    """Return the picture that ``draw`` makes; if it fails, warn and return None.
+
+    A picture that cannot be drawn must not take the table with it.
+    """
+    try:
+        return draw()
+    except Exception as error:  # matplotlib's, of fonts, or of a full disk
+        reason = f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
+        _checks.warn(
+            f"{name} is left out, because it cannot be drawn ({reason})", OutputWarning
+        )
+        return None
+
+
 @suggest_keywords
 def figure_png(
     draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
 ) -> bytes:
     """Return the picture that ``draw`` makes on one axis, as the bytes of a PNG.
 
-    No display and no global state of matplotlib are used.
+    No display is used, and no setting but matplotlib's defaults.
 
     Parameters
     ----------
@@ -206,7 +239,8 @@ def figure_png(
     >>> figure_png(lambda ax: ax.plot([0, 1]), size=(2.0, 1.5))[1:4]
     b'PNG'
     """
-    return _save(draw, size, "png", {"Software": None})
+    with own_style():
+        return _save(draw, size, "png", {"Software": None})
 
 
 @suggest_keywords
@@ -262,10 +296,8 @@ def figure_svg(
     >>> text[:5], 'role="img"' in text
     ('<svg ', True)
     """
-    import matplotlib
-
     check_texts(name=name, title=title, description=description)
-    with matplotlib.rc_context(_SVG_STYLE):
+    with own_style(_SVG_STYLE):
         text = _save(
             draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))
         ).decode()

@@ -31,6 +31,7 @@ from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import Names
+from oee_tabular.plots.style import draw_or_warn
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.report.tables import diagnostic_columns
@@ -360,9 +361,13 @@ class Portrait:
             tall = (WIDTH - 1.3) * len(self.map.rows) / len(self.map.columns)
             height = min(max(tall, 0.9) + 0.6, 7.0)
         about = {"name": name, "title": title, "description": description}
-        return plots.figure_svg(
-            partial(plot, policy) if policy else plot, size=(WIDTH, height), **about
+        drawn = draw_or_warn(
+            f"the picture {title!r}",
+            lambda: plots.figure_svg(
+                partial(plot, policy) if policy else plot, size=(WIDTH, height), **about
+            ),
         )
+        return drawn or ""
 
 
 def portray(
@@ -479,7 +484,8 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
     if truth is not None:
         exact = f" The dashed line is the exact value, {text.format_number(truth)}."
     factor = "(1 − discount) × " if report.normalized else ""
-    return plots.figure_svg(
+    draw = partial(
+        plots.figure_svg,
         lambda ax: plots.plot_intervals(
             [row["estimator"] for row in rows],
             values,
@@ -495,3 +501,4 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
         title=f"Values of {policy} in the target, with intervals",
         description=f"One line for each estimator. {values_in_words}.{exact}",
     )
+    return draw_or_warn(f"the picture {name!r}", draw) or ""

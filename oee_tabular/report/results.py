@@ -16,6 +16,7 @@ from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
+from oee_tabular.plots.style import draw_or_warn
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain
 from oee_tabular.report.text import Answer
@@ -630,8 +631,14 @@ class Report:
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": figure_png(self.plot, size=(7.2, height)),
         }
+        picture = draw_or_warn(
+            "values.png", lambda: figure_png(self.plot, size=(7.2, height))
+        )
+        if picture is not None:
+            contents["values.png"] = picture
+        elif (target / "values.png").is_file():
+            (target / "values.png").unlink()  # it shows another report
         _files.write_all(target, contents)
         return [target / name for name in contents]
 

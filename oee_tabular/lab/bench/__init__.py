@@ -29,6 +29,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import time_limit
+from oee_tabular._progress import is_terminal
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -642,7 +643,7 @@ def bench(
         jobs=jobs,
         dask=dask,
         fresh=fresh,
-        progress=sys.stderr.isatty(),
+        progress=is_terminal(sys.stderr),
     )
     own = families_at(None, seed)
     if families is None and isinstance(own, Families):

@@ -31,7 +31,14 @@ import pandas as pd
 from oee_tabular import _files
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
-from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
+from oee_tabular.plots.style import (
+    DIVERGING,
+    INK,
+    disable_math,
+    draw_or_warn,
+    series,
+    shorten,
+)
 from oee_tabular.typing import Array, BoolArray, RealArrayLike
 
 # The references, which are always measured.
@@ -636,9 +643,11 @@ class League:
             "league.tex": self.to_latex().encode(),
         }
         for name in PICTURES:
-            contents[f"{name}.png"] = draw_bytes(
-                getattr(self, name), salt="bench", kinds=("png",)
-            )["png"]
+            draw = functools.partial(
+                draw_bytes, getattr(self, name), salt="bench", kinds=("png",)
+            )
+            pictures = draw_or_warn(f"{name}.png", draw)
+            contents |= {f"{name}.png": data for data in (pictures or {}).values()}
         refuse_links(Path(folder))
         _files.write_all(Path(folder), contents)
         return [Path(folder) / name for name in contents]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from oee_tabular import _files
+from oee_tabular._progress import is_terminal
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import Experiment, files_of
 from oee_tabular.lab.experiments import (
@@ -141,7 +142,7 @@ def reproduce(
             Store(folder / settings.experiment.id, settings)
     for settings in every:
         target = folder / settings.experiment.id
-        progress = sys.stderr.isatty()
+        progress = is_terminal(sys.stderr)
         run_and_write(
             target,
             settings,
