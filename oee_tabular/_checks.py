@@ -11,13 +11,17 @@ import reprlib
 import sys
 import unicodedata
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from oee_tabular._containers import is_sparse as is_sparse
+from oee_tabular._containers import place as place
+from oee_tabular._containers import to_plain_array
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, Seed
 
@@ -26,7 +30,14 @@ T = TypeVar("T")
 LARGEST_INTEGER = 2**63 - 1
 SUM_TOLERANCE = 1e-8  # of a sum of probabilities, from 1
 SUM_RULE = f"sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {{:.10g}}"
-SINGLE_TOLERANCE = 1e-5  # of a sum in single precision, which is then scaled to 1
+# of a sum in single or half precision, which is then scaled to 1
+SCALED_TOLERANCES: dict[type, float] = {np.float32: 1e-5, np.float16: 5e-3}
+ROUNDED_HINT = " (of single precision, or rounded? Divide each row by its sum)"
+ROUNDED_TOTAL_HINT = " (of single precision, or rounded? Divide by the sum)"
+ROUNDED_TOLERANCE = 5e-3  # of a sum that rounding may explain
+MAX_SEED_WORDS = 10_000  # 32-bit numbers of a seed, some milliseconds
+MAX_SEED_DEPTH = 8  # of sequences in sequences
+MAX_NESTED = 64  # lists in lists
 MAX_SHOWN_CHARACTERS = 300  # of a value in an error
 MAX_SHOWN_ENTRIES = 12  # of an array; a larger one is shown by its shape
 _PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
@@ -88,23 +99,12 @@ def escape_controls(text: str, keep: str = "") -> str:
     return "".join(letters)
 
 
-def is_sparse(value: object) -> TypeGuard[Any]:
-    """Return whether a value is one of scipy's sparse matrices or arrays.
-
-    No method of it is called, since a malformed one may end the process.
-    """
-    # without this module, which is slow to import, there is no such object
-    sparse = sys.modules.get("scipy.sparse")
-    return sparse is not None and bool(sparse.issparse(value))
-
-
-def place(name: str, index: tuple[int, ...]) -> str:
-    """Name an entry of an argument: ``policy[3, 1]`` for ("policy", (3, 1))."""
-    return f"{name}[{', '.join(str(int(i)) for i in index)}]"
-
-
 def float_array(
-    value: object, name: str, *, ndim: int | tuple[int, ...] | None = None
+    value: object,
+    name: str,
+    *,
+    ndim: int | tuple[int, ...] | None = None,
+    allow_missing: bool = False,
 ) -> Array:
     """Convert a value to a new float64 array of numbers.
 
@@ -116,6 +116,9 @@ def float_array(
         The argument's name, for errors.
     ndim : int or tuple of int, optional
         The dimensions that are allowed. None allows any.
+    allow_missing : bool, default False
+        Whether masked values and other signs for missing ones become nan. Otherwise
+        they are errors.
 
     Returns
     -------
@@ -125,11 +128,12 @@ def float_array(
     Raises
     ------
     ArgumentError
-        If the value holds text, dates or complex numbers, has rows of different
-        lengths, or
-        another number of dimensions.
+        If the value holds text, dates or complex numbers, has a unit or labels that
+        position loses, rows of different lengths, or another number of dimensions.
     """
-    given: Any = as_array(value, name, "an array of numbers")
+    given: Any = as_array(
+        value, name, "an array of numbers", allow_missing=allow_missing
+    )
     kind = given.dtype.kind
     holds_text = kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
     try:
@@ -140,9 +144,11 @@ def float_array(
         if kind not in "biufO":
             raise TypeError(f"of {given.dtype}")
         array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ArgumentError(
-            name, f"must be an array of numbers; got {type(value).__name__} ({error})"
+            name,
+            "must be an array of numbers; got"
+            f" {type(value).__name__} ({_reason(error)})",
         ) from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
     if allowed is not None and array.ndim not in allowed:
@@ -153,19 +159,30 @@ def float_array(
     return array
 
 
-def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
+def as_array(
+    value: object, name: str, rule: str = "an array", *, allow_missing: bool = False
+) -> NDArray[Any]:
     """Convert a value by ``numpy.array``, with an error that names the argument.
 
-    Rows of different lengths and sparse matrices are errors.
+    Whatever ``numpy.array`` would lose is an error: masked values (but for nan with
+    ``allow_missing``), units, labels other than 0, 1, 2, ... So are rows of different
+    lengths and sparse matrices.
     """
     try:
-        if is_sparse(value):
-            raise TypeError("a sparse matrix")
+        if type(value) is not np.ndarray or value.dtype.hasobject:
+            value = to_plain_array(value, name, allow_missing=allow_missing)
         return np.array(value)
-    except (TypeError, ValueError, OverflowError) as error:
+    except ArgumentError:
+        raise
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ArgumentError(
-            name, f"must be {rule}; got {type(value).__name__} ({error})"
+            name, f"must be {rule}; got {type(value).__name__} ({_reason(error)})"
         ) from None
+
+
+def _reason(error: Exception) -> str:
+    """Return the text of a library's error on one short line."""
+    return escape_controls(" ".join(str(error).split()))[:MAX_SHOWN_CHARACTERS]
 
 
 def require_finite(array: Array, name: str) -> None:
@@ -186,7 +203,14 @@ def require_sums_to_one(sums: Array, name: str) -> None:
 
     ``sums`` are the sums of the rows of ``name``.
     """
-    _require(np.abs(sums - 1.0) <= SUM_TOLERANCE, sums, name, SUM_RULE, "rows")
+    fine = np.abs(sums - 1.0) <= SUM_TOLERANCE
+    if fine.all():
+        return
+    first = sums[tuple(np.argwhere(~fine)[0])]
+    rule = SUM_RULE
+    if abs(first - 1.0) <= ROUNDED_TOLERANCE:
+        rule += ROUNDED_HINT if sums.ndim else ROUNDED_TOTAL_HINT
+    _require(fine, sums, name, rule, "rows")
 
 
 def _require(
@@ -207,24 +231,76 @@ def _require(
 
 
 def scale_if_single(array: Array, given: object) -> Array:
-    """Scale single-precision rows to sum to 1 where they nearly do."""
-    if getattr(given, "dtype", None) != np.float32:
+    """Scale rows given in single or half precision to sum to 1 where they nearly do.
+
+    ``given`` is what they were made of: an array of any library, a sparse matrix, or
+    lists and mappings of numbers, of which none may be of double precision.
+    """
+    tolerance = _sum_tolerance(given)
+    if tolerance == 0.0:
         return array
     sums = array.sum(axis=-1, keepdims=True)
-    near = np.abs(sums - 1.0) <= SINGLE_TOLERANCE
+    near = np.abs(sums - 1.0) <= tolerance
     return np.asarray(np.where(near, array / np.where(near, sums, 1.0), array))
 
 
-def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
-    """Convert a value to an array of ``shape``, nonnegative, with a total of 1."""
+def scale_sums(sums: Array, given: object) -> Array:
+    """Return what to divide rows with these sums by, as ``scale_if_single`` does."""
+    near = np.abs(sums - 1.0) <= _sum_tolerance(given)
+    return np.where(near, sums, 1.0)
+
+
+def _sum_tolerance(given: object) -> float:
+    """Return how far from 1 sums may be that are then scaled; 0 in double precision."""
+    if type(given) is np.ndarray and given.dtype == np.float64:
+        return 0.0
+    kinds = _float_kinds(given, 0)
+    if not kinds or not kinds <= set(SCALED_TOLERANCES):
+        return 0.0
+    return max(SCALED_TOLERANCES[kind] for kind in kinds)
+
+
+def _float_kinds(given: Any, depth: int) -> set[type]:
+    """Return the types of the floats in what was given: numpy's, or float."""
+    if isinstance(given, float):
+        return {type(given)}
+    if isinstance(given, str | bytes | int | None):
+        return set()
+    if isinstance(given, Mapping) and not is_sparse(given):
+        given = list(given.values())
+    if isinstance(given, list | tuple) and depth < MAX_NESTED:
+        kinds: set[type] = set()
+        for item in given:
+            kinds |= _float_kinds(item, depth + 1)
+        return kinds
+    dtype = getattr(given, "dtype", None)
+    if not isinstance(dtype, np.dtype):  # of torch, Arrow or pandas
+        try:
+            dtype = np.asarray(given).dtype
+        except Exception:  # it is no array
+            return {float}
+    if dtype.hasobject and isinstance(given, np.ndarray):
+        return _float_kinds(given.reshape(-1).tolist(), depth + 1)
+    return {dtype.type} if dtype.kind == "f" else set()
+
+
+def distribution(
+    value: object, name: str, shape: tuple[int, ...], *, given: object = None
+) -> Array:
+    """Convert a value to an array of ``shape``, nonnegative, with a total of 1.
+
+    ``given``: what the value was made of, where that is something else. In single
+    precision it is scaled.
+    """
     array = float_array(value, name)
     if array.shape != shape:
         raise ArgumentError(
             name, f"must have shape {shape}; it has shape {array.shape}"
         )
     require_nonnegative(array, name)
-    if array.ndim == 1:
-        array = scale_if_single(array, value)
+    total = scale_sums(np.asarray(array.sum()), value if given is None else given)
+    if total != 1.0:
+        array = array / total
     require_sums_to_one(np.asarray(array.sum()), name)
     return array
 
@@ -243,11 +319,10 @@ def number_in(
     Infinity is allowed only with ``infinite``.
     """
     try:
-        array: Any = None if is_sparse(value) else np.asarray(value)
-        if array is None or array.ndim or array.dtype.kind not in "biufO":
-            raise TypeError
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
+        number = float(_single(value, name, "biufO"))
+    except ArgumentError:
+        raise
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise ArgumentError(name, f"must be a number; got {show(value)}") from None
     inside = low < number < high if open_ends else low <= number <= high
     if np.isinf(number) and not infinite:
@@ -262,13 +337,32 @@ def number_in(
     return number
 
 
+def _single(value: Any, name: str, kinds: str) -> Any:
+    """Return a single value without what holds it; TypeError for other kinds of it."""
+    if type(value) is int or type(value) is float:
+        return value
+    plain = to_plain_array(value, name)
+    if isinstance(plain, list | tuple):
+        raise TypeError
+    array = np.asarray(plain)
+    if array.ndim or array.dtype.kind not in kinds:
+        raise TypeError
+    # of an array of objects what is in it: asked itself, it may never return
+    single = array.item() if isinstance(plain, np.ndarray) else plain
+    if isinstance(single, np.ndarray):
+        raise TypeError
+    return single
+
+
 def positive_integer(value: Any, name: str) -> int:
     """Convert a value to an int of at least 1 that fits in 64 bits."""
     try:
         if isinstance(value, bool | np.bool_):
             raise TypeError
-        number = operator.index(value)
-    except TypeError:
+        number = operator.index(_single(value, name, "iuO"))
+    except ArgumentError:
+        raise
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise ArgumentError(
             name, f"must be a positive integer; got {show(value)}"
         ) from None
@@ -339,7 +433,11 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
     try:
         if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
+        if hasattr(value, "__array__") and type(value) is not np.ndarray:
+            value = to_plain_array(value, name)
         return tuple(value)
+    except ArgumentError:
+        raise
     except (TypeError, ValueError):
         raise ArgumentError(
             name, f"must be {rule}; got {type(value).__name__}"
@@ -409,9 +507,9 @@ def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
 def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
     """Call a function of numpy.random; its errors become an ArgumentError of seed."""
     try:
-        if is_sparse(seed):
-            raise TypeError("a sparse matrix")
-        return make(seed, **options)
+        return make(_check_seed(seed), **options)
+    except ArgumentError:
+        raise
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = escape_controls(str(error))[:200]
         raise ArgumentError(
@@ -419,6 +517,46 @@ def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
             f"must be what numpy.random.{make.__name__} takes; got {show(seed)}"
             f" ({reason})",
         ) from None
+
+
+def _check_seed(seed: Any) -> Any:
+    """Return a seed of the types that numpy documents; TypeError for another.
+
+    numpy follows other objects wherever they lead, to the end of the stack or of time.
+    """
+    own = (np.random.BitGenerator, np.random.Generator, np.random.RandomState)
+    if seed is None or isinstance(seed, (*own, ISeedSequence)):
+        return seed
+    if not isinstance(seed, int | np.integer | list | tuple | range):
+        seed = to_plain_array(seed, "seed")
+    if isinstance(seed, np.ndarray):
+        if seed.dtype.hasobject:
+            seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()
+        elif seed.dtype.kind not in "iub":
+            raise TypeError(f"an array of {seed.dtype}")
+    if isinstance(seed, np.ndarray):
+        n_words: float = seed.size
+    else:
+        n_words = _count_words(seed, 0)
+    if n_words > MAX_SEED_WORDS:
+        raise ValueError(f"it is longer than {MAX_SEED_WORDS} numbers of 32 bits")
+    return seed
+
+
+def _count_words(seed: Any, depth: int) -> float:
+    """Count the 32-bit numbers of an integer, or of a sequence of such; inf beyond."""
+    if isinstance(seed, int | np.integer | np.bool_):
+        return 1.0 + int(seed).bit_length() // 32
+    if not isinstance(seed, list | tuple | range) or depth > MAX_SEED_DEPTH:
+        raise TypeError(f"{type(seed).__name__} is no integer")
+    if len(seed) > MAX_SEED_WORDS:
+        return math.inf
+    total = 0.0
+    for item in seed:
+        total += _count_words(item, depth + 1)
+        if total > MAX_SEED_WORDS:
+            break
+    return total
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
