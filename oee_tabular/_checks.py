@@ -169,15 +169,35 @@ def as_array(
     lengths and sparse matrices.
     """
     try:
-        if type(value) is not np.ndarray or value.dtype.hasobject:
-            value = to_plain_array(value, name, allow_missing=allow_missing)
-        return np.array(value)
+        return np.array(_plain(value, name, allow_missing))
     except ArgumentError:
         raise
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ArgumentError(
-            name, f"must be {rule}; got {type(value).__name__} ({_reason(error)})"
-        ) from None
+        raise _no_array(value, name, rule, error) from None
+
+
+def plain_array(value: object, name: str, rule: str = "an array") -> Any:
+    """Return a plain array, or lists of plain values, by the rules of ``as_array``."""
+    try:
+        return _plain(value, name)
+    except ArgumentError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise _no_array(value, name, rule, error) from None
+
+
+def _plain(value: object, name: str, allow_missing: bool = False) -> Any:
+    """Return ``to_plain_array`` of a value, at once where it is a plain array."""
+    if type(value) is np.ndarray and not value.dtype.hasobject:
+        return value
+    return to_plain_array(value, name, allow_missing=allow_missing)
+
+
+def _no_array(value: object, name: str, rule: str, error: Exception) -> ArgumentError:
+    """Return the error for a value that is no array, with another library's reason."""
+    return ArgumentError(
+        name, f"must be {rule}; got {type(value).__name__} ({_reason(error)})"
+    )
 
 
 def _reason(error: Exception) -> str:

@@ -80,7 +80,7 @@ def to_plain_array(
     kind = type(value)
     if kind is np.ndarray:
         if value.dtype.hasobject:  # type: ignore[attr-defined]
-            return _plain_objects(value, name, index, allow_missing)
+            return _plain_objects(value, name, index, allow_missing)  # type: ignore[arg-type]
         return value
     if kind in _PLAIN or isinstance(value, _SINGLE):
         return value
@@ -224,6 +224,16 @@ def _unwrap_pandas(value: Any, where: str) -> Any:
         if getattr(dtype, "units", None) is not None:
             _require_no_unit(dtype.units, value, where)
     return np.asarray(value)
+
+
+def is_labelled_series(value: object) -> TypeGuard[Any]:
+    """Say whether a value is a Series whose labels are not 0, 1, 2, ..."""
+    is_series = hasattr(value, "iloc") and hasattr(value, "to_dict")
+    return (
+        is_series
+        and getattr(value, "ndim", 0) == 1
+        and not _counts_from_zero(getattr(value, "index", None))
+    )
 
 
 def _counts_from_zero(labels: Any) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,11 +57,25 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> Csr:
 def check_csr(matrix: Any, name: str) -> Csr:
     """Check a sparse matrix in any of scipy's formats and return it as csr of float64.
 
-    Its arrays may be the given ones. Native code follows row pointers and indices
-    wherever they lead, and scipy's matrices may be edited after they were made: whoever
-    takes one looks at all of it here first. Costs O(entries). Raises an ArgumentError,
-    with the part and the place, for what is no matrix of real numbers.
+    Entries of one place add up, as those of probabilities and counts do; of values see
+    ``check_values``. Its arrays may be the given ones. Native code follows row pointers
+    and indices wherever they lead, and scipy's matrices may be edited after they were
+    made: whoever takes one looks at all of it here first. Costs O(entries). Raises an
+    ArgumentError, with the part and the place, for what is no matrix of real numbers.
     """
+    _require_real_matrix(matrix, name)
+    if matrix.format not in ("csr", "csc"):
+        coo = _check_coo(matrix, name)
+        return sparse.csr_array(coo, dtype=np.float64)
+    # a csc matrix has the parts that its transpose has as csr
+    is_csr = matrix.format == "csr"
+    shape = matrix.shape if is_csr else matrix.shape[::-1]
+    csr = csr_from_parts(matrix.data, matrix.indices, matrix.indptr, shape, name)
+    return csr if is_csr else csr.T.tocsr()
+
+
+def _require_real_matrix(matrix: Any, name: str) -> None:
+    """Raise an ArgumentError for what is no sparse matrix of real numbers."""
     if not is_sparse(matrix):
         raise ArgumentError(
             name, f"must be a sparse matrix; got {type(matrix).__name__}"
@@ -71,17 +86,182 @@ def check_csr(matrix: Any, name: str) -> Csr:
         )
     if matrix.dtype.kind not in "biuf":
         raise ArgumentError(name, f"must be real numbers; they are {matrix.dtype}")
+
+
+class Entries(NamedTuple):
+    """Hold the entries of a sparse matrix as they were given, repeated ones as well."""
+
+    row: IntArray
+    column: IntArray
+    value: Array
+
+
+def entries_of(matrix: Any, name: str) -> Entries:
+    """Check a sparse matrix as ``check_csr`` does and return all its entries.
+
+    Entries of one place are not added.
+    """
+    _require_real_matrix(matrix, name)
     if matrix.format not in ("csr", "csc"):
-        return _csr_of_other_format(matrix, name)
-    # a csc matrix has the parts that its transpose has as csr
-    is_csr = matrix.format == "csr"
-    shape = matrix.shape if is_csr else matrix.shape[::-1]
-    csr = csr_from_parts(matrix.data, matrix.indices, matrix.indptr, shape, name)
-    return csr if is_csr else csr.T.tocsr()
+        coo = _check_coo(matrix, name)
+        row, column = coo.coords
+    else:
+        is_csr = matrix.format == "csr"
+        shape = matrix.shape if is_csr else matrix.shape[::-1]
+        coo = csr_from_parts(matrix.data, matrix.indices, matrix.indptr, shape, name)
+        row, column = row_of_entry(coo), coo.indices
+        if not is_csr:
+            row, column = column, row
+    return Entries(
+        row.astype(np.int64), column.astype(np.int64), coo.data.astype(np.float64)
+    )
 
 
-def _csr_of_other_format(matrix: Any, name: str) -> Csr:
-    """Return the csr of a sound matrix that is neither csr nor csc."""
+def is_matrix_list(value: object) -> bool:
+    """Say whether a value is a list, a tuple or an array of sparse matrices alone."""
+    if isinstance(value, np.ndarray):
+        if not (
+            type(value) is np.ndarray and value.ndim == 1 and value.dtype.hasobject
+        ):
+            return False
+        value = value.tolist()
+    return (
+        isinstance(value, list | tuple) and bool(value) and all(map(is_sparse, value))
+    )
+
+
+def stack_actions(matrices: Any, name: str) -> sparse.coo_array[Any]:
+    """Return a list of A sparse (S, S) matrices, one an action, as one (S*A, S).
+
+    Repeated entries stay. Raises an ArgumentError where one has another shape.
+    """
+    n_actions = len(matrices)
+    n_states = matrices[0].shape[-1]
+    parts = []
+    for action, matrix in enumerate(matrices):
+        if matrix.shape != (n_states, n_states):
+            raise ArgumentError(
+                f"{name}[{action}]",
+                f"must have shape {(n_states, n_states)}, of states and next states,"
+                " in a list of sparse matrices, one an action; it has shape"
+                f" {matrix.shape}",
+            )
+        row, column, value = entries_of(matrix, f"{name}[{action}]")
+        parts.append((row * n_actions + action, column, value))
+    rows, columns, values = (np.concatenate(p) for p in zip(*parts, strict=True))
+    # in single precision they are scaled
+    if all(matrix.dtype in (np.float32, np.float16) for matrix in matrices):
+        values = values.astype(np.float32)
+    shape = (n_states * n_actions, n_states)
+    return sparse.coo_array((values, (rows, columns)), shape=shape)
+
+
+def check_values(
+    matrix: Any, name: str, weights: Callable[[], Entries | None] | None = None
+) -> Csr:
+    """Check a sparse matrix of values, such as rewards or ratios, and return its csr.
+
+    Values of one place do not add up: equal ones count once, and different ones are
+    averaged by the probabilities that were given at the same repeated places.
+
+    Parameters
+    ----------
+    matrix : sparse matrix
+        The values, in any of scipy's formats.
+    name : str
+        The argument's name, for errors.
+    weights : callable, optional
+        Returns the entries of the probabilities as they were given, or None. It is
+        called where values of one place differ.
+
+    Returns
+    -------
+    csr_array
+        Canonical, explicit zeros included.
+
+    Raises
+    ------
+    ArgumentError
+        If the matrix is malformed, or if different values stand in one place.
+    """
+    if matrix.format == "csr" and matrix.dtype == np.float64:
+        # the usual case; scipy says whether it holds only of sound matrices
+        csr = check_csr(matrix, name)
+        if csr.has_canonical_format:
+            return canonical(csr, drop_zeros=False)
+    given = entries_of(matrix, name)
+    return values_of_entries(given, matrix.shape, name, weights)
+
+
+def values_of_entries(
+    given: Entries,
+    shape: tuple[int, int],
+    name: str,
+    weights: Callable[[], Entries | None] | None = None,
+) -> Csr:
+    """Return the csr of values, of which those of one place do not add up."""
+    order = np.lexsort((given.column, given.row))
+    row, column, value = (part[order] for part in given)
+    is_first = np.ones(len(row), dtype=np.bool_)
+    is_first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
+    starts = np.flatnonzero(is_first)
+    own = value[starts]
+    if len(starts) < len(row):
+        group = np.cumsum(is_first) - 1
+        differs = (value != own[group]) & ~(np.isnan(value) & np.isnan(own[group]))
+        if differs.any():
+            shares = None if weights is None else weights()
+            own = _average_repeated(given, order, group, differs, shares, name)
+    parts = (own, (row[starts], column[starts]))
+    return canonical(sparse.csr_array(parts, shape=shape), drop_zeros=False)
+
+
+def _average_repeated(
+    given: Entries,
+    order: IntArray,
+    group: IntArray,
+    differs: BoolArray,
+    weights: Entries | None,
+    name: str,
+) -> Array:
+    """Return the mean value of each place under the weights of the same entries.
+
+    ``order`` sorts the entries, ``group`` numbers the places in this order.
+    """
+    value = given.value[order]
+    first = np.searchsorted(group, group)  # of the same place
+    has_weights = weights is not None and all(
+        np.array_equal(one, other)
+        for one, other in zip(given[:2], weights[:2], strict=True)
+    )
+    share: Array = np.zeros(len(group))
+    total = share
+    if weights is not None and has_weights:
+        share = weights.value[order]
+        total = np.bincount(group, share).astype(np.float64)
+        lacks = differs & ~(total > 0.0)[group]
+    else:
+        lacks = differs
+    if lacks.any():
+        k = int(lacks.argmax())
+        row, column = int(given.row[order[k]]), int(given.column[order[k]])
+        raise ArgumentError(
+            f"{name}[{row}, {column}]",
+            f"must have one value; it has {value[first[k]]:g} and {value[k]:g}"
+            " (repeated entries of probabilities add up, those of values do not: give"
+            " their mean, or both in the same order as the probabilities)",
+        )
+    mean = np.bincount(group, share * value) / np.where(total > 0.0, total, 1.0)
+    # a place whose values agree keeps their bits
+    is_mixed = np.bincount(group, differs) > 0
+    return np.asarray(np.where(is_mixed, mean, value[np.unique(first)]))
+
+
+def _check_coo(matrix: Any, name: str) -> Any:
+    """Return the coo of a sound matrix that is neither csr nor csc.
+
+    Repeated entries stay.
+    """
     shape = matrix.shape
     kind = matrix.format
     try:
@@ -91,8 +271,7 @@ def _csr_of_other_format(matrix: Any, name: str) -> Csr:
         elif kind == "lil":
             _require_lil_parts(matrix)
         entries = matrix.tocoo()
-        coo: Any = sparse.coo_array((entries.data, entries.coords), shape=shape)
-        return sparse.csr_array(coo, dtype=np.float64)
+        return sparse.coo_array((entries.data, entries.coords), shape=shape)
     except (
         AttributeError,
         IndexError,
@@ -218,7 +397,7 @@ def ratio_on(pattern: CsrParts, ratio: Any, name: str) -> Array:
 
     The ratio is csr of the same shape, or an object with such ``values``.
     """
-    values = getattr(ratio, "values", ratio)
+    values = ratio if is_sparse(ratio) else getattr(ratio, "values", ratio)
     if not is_sparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ArgumentError(
@@ -227,7 +406,7 @@ def ratio_on(pattern: CsrParts, ratio: Any, name: str) -> Array:
     is_float_csr = values.format == "csr" and values.dtype == np.float64
     if is_float_csr and _has_same_pattern(values, pattern):
         return np.asarray(values.data)
-    return align(canonical(check_csr(values, name), drop_zeros=False), pattern)[0]
+    return align(check_values(values, name), pattern)[0]
 
 
 def find(

@@ -640,7 +640,8 @@ def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """Return a policy function's probabilities (n, A), whose rows must sum to 1."""
     _checks.function(policy, "policy")
-    table = _checks.float_array(ask_policy(policy, states), "policy(states)")
+    given = ask_policy(policy, states)
+    table = _checks.float_array(given, "policy(states)")
     n = len(states)
     if table.shape != (n, n_actions):
         raise ArgumentError(
@@ -649,6 +650,7 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
             f" {table.shape}",
         )
     _checks.require_nonnegative(table, "policy(states)")
+    table = _checks.scale_if_single(table, given)
     _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")
     return table
 

@@ -197,8 +197,8 @@ class LogColumns:
         ValueError
             If ``rows`` is no mask and no row numbers of the log, or chooses no row.
         """
+        asked = _checks.as_array(rows, "rows", "a mask or row numbers")
         try:
-            asked = np.asarray(rows)
             chosen = np.zeros(0, dtype=np.int64)
             if asked.size:
                 chosen = np.arange(len(self))[asked]

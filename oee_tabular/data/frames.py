@@ -26,7 +26,14 @@ from oee_tabular.data.rules import (
     suggest_columns,
 )
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
+from oee_tabular.mdp.naming import (
+    Name,
+    check_names,
+    is_name,
+    is_number_text,
+    normalize,
+    to_plain,
+)
 from oee_tabular.typing import Column, IntArray
 
 STEP = (
@@ -302,7 +309,7 @@ def _names_in(value: object, name: str) -> list[Any] | None:
     is_sequence = bool(items) and isinstance(items[0], list | np.ndarray)
     if not items or (is_sequence and array is value) or not is_name(to_plain(items[0])):
         return None
-    names = [item if type(item) is str else to_plain(item) for item in items]
+    names = [normalize(item) if type(item) is str else to_plain(item) for item in items]
     try:
         distinct = dict.fromkeys(names)
     except TypeError as error:

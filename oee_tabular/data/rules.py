@@ -175,7 +175,9 @@ def check_array(value: object, label: str) -> Column:
     """
     kind = KINDS[label]
     if kind == "numbers":
-        array: Column = _checks.float_array(value, label, ndim=1)
+        array: Column = _checks.float_array(
+            value, label, ndim=1, allow_missing=label == "reward"
+        )
     else:
         array = _checks.as_array(value, label, f"a column of {kind}")
     if array.ndim != 1:

@@ -15,13 +15,18 @@ from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._sparse import (
     CsrParts,
+    Entries,
     align,
     align_to,
     canonical,
     check_csr,
+    check_values,
     csr_on_pattern,
+    entries_of,
+    is_matrix_list,
     row_of_entry,
     row_sums,
+    stack_actions,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import NAMELESS, Names
@@ -113,7 +118,7 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
         # those of a pickle can be written to
         for part in (csr.indptr, csr.indices, csr.data):
             freeze(part)
-    elif _checks.is_sparse(transitions):
+    elif _checks.is_sparse(transitions) or is_matrix_list(transitions):
         csr = _check_sparse_transitions(transitions)
     else:
         csr = _check_dense_transitions(transitions)
@@ -140,6 +145,8 @@ def _check_dense_transitions(transitions: Any) -> CsrArrays:
 
 def _check_sparse_transitions(transitions: Any) -> CsrArrays:
     """Check a sparse P of shape (S*A, S) and return its entries."""
+    if is_matrix_list(transitions):
+        transitions = stack_actions(transitions, "transitions")
     shape = transitions.shape
     if transitions.ndim != 2 or 0 in shape or shape[0] % shape[1]:
         raise ArgumentError("transitions", f"must {_SHAPES}; it has shape {shape}")
@@ -153,22 +160,41 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
             "transitions", f"must be {rule}; at {where} it is {raw.data[bad[0]]}"
         )
     matrix = canonical(raw, drop_zeros=True)
-    _checks.require_sums_to_one(row_sums(matrix).reshape(-1, n_actions), "transitions")
+    sums = row_sums(matrix)
+    scale = _checks.scale_sums(sums, transitions)
+    if (scale != 1.0).any():
+        matrix = csr_on_pattern(matrix, matrix.data / scale[row_of_entry(matrix)])
+        sums = row_sums(matrix)
+    _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions")
     return CsrArrays.from_matrix(matrix)
 
 
+def _entries_of_transitions(transitions: Any) -> Entries | None:
+    """Return the entries of a sparse P that was checked, repeated ones as well."""
+    if isinstance(transitions, CsrArrays):
+        return None
+    if is_matrix_list(transitions):
+        transitions = stack_actions(transitions, "transitions")
+    if not _checks.is_sparse(transitions):
+        return None
+    return entries_of(transitions, "transitions")
+
+
 def check_rewards(
-    rewards: Any, csr: CsrArrays, n_actions: int
+    rewards: Any, csr: CsrArrays, n_actions: int, transitions: object = None
 ) -> tuple[Array, Array | None, Array | Csr | None]:
     """Check rewards and return r(s, a), r(s, a, s') on the entries of P, and its table.
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s'). In the table a nan, or no entry, means
-    undefined; the last two are None where rewards do not depend on s'.
+    undefined; the last two are None where rewards do not depend on s'. ``transitions``
+    are those that P was made of, whose repeated entries average those of the rewards.
     """
     n_states = csr.shape[1]
     table: Any
+    if is_matrix_list(rewards):
+        rewards = stack_actions(rewards, "rewards")
     if _checks.is_sparse(rewards):
-        given = _check_sparse_rewards(rewards, csr, n_actions)
+        given = _check_sparse_rewards(rewards, csr, n_actions, transitions)
         table, data = align_to(given, csr)
     else:
         table = _check_dense_rewards(rewards, n_states, n_actions)
@@ -186,7 +212,9 @@ def _check_dense_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
 
     One of 3 dimensions may have nan.
     """
-    array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
+    array = freeze(
+        _checks.float_array(rewards, "rewards", ndim=(1, 2, 3), allow_missing=True)
+    )
     shape = (n_states, n_actions, n_states)[: array.ndim]
     if array.shape != shape:
         raise ArgumentError(
@@ -217,14 +245,18 @@ def _rewards_on_entries(array: Array, csr: CsrArrays, n_actions: int) -> Array:
     return data
 
 
-def _check_sparse_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> Csr:
+def _check_sparse_rewards(
+    rewards: Any, csr: CsrArrays, n_actions: int, transitions: object
+) -> Csr:
     """Check sparse rewards and add a 0 wherever P has an entry and they have none."""
     if rewards.shape != csr.shape:
         raise ArgumentError(
             "rewards",
             f"must have shape {csr.shape} when sparse; it has shape {rewards.shape}",
         )
-    given = canonical(check_csr(rewards, "rewards"), drop_zeros=False)
+    given = check_values(
+        rewards, "rewards", lambda: _entries_of_transitions(transitions)
+    )
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_transition(given, int(bad[0]), n_actions)

@@ -26,7 +26,15 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _progress
-from oee_tabular._sparse import check_csr, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import (
+    check_csr,
+    check_values,
+    csr_on_pattern,
+    is_matrix_list,
+    row_of_entry,
+    row_sums,
+    stack_actions,
+)
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
@@ -336,8 +344,10 @@ def _empirical_arguments(
 def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
     """Check rewards (S,), (S, A) or (S, A, S) and return them dense."""
     shape = n_states, n_actions, n_states
+    if is_matrix_list(rewards):
+        rewards = stack_actions(rewards, "rewards")
     is_sparse = _checks.is_sparse(rewards)
-    given = check_csr(rewards, "rewards").toarray() if is_sparse else rewards
+    given = check_values(rewards, "rewards").toarray() if is_sparse else rewards
     table = _checks.float_array(given, "rewards", ndim=(1, 2, 3))
     if is_sparse and table.shape == (n_states * n_actions, n_states):
         table = table.reshape(shape)

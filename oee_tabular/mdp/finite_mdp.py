@@ -71,14 +71,19 @@ class FiniteMDP:
     Parameters
     ----------
     transitions : array_like of shape (S, A, S), or sparse of shape (S*A, S)
-        The probabilities P(s' | s, a), in row ``s*A + a`` of the sparse form. They are
-        nonnegative and each row sums to 1 (tolerance 1e-8; rows of a dense
-        single-precision array are scaled). A terminal state leads to itself with reward
-        0.
+        The probabilities P(s' | s, a), in row ``s*A + a`` of the sparse form; or a list
+        of A sparse matrices of shape (S, S), one an action. They are nonnegative and
+        each row sums to 1 (tolerance 1e-8; rows in single precision are scaled).
+        Repeated entries of a sparse matrix add up. A terminal state leads to itself
+        with reward 0.
     rewards : array_like of shape (S,), (S, A) or (S, A, S), or sparse of shape (S*A, S)
         The finite rewards r(s), r(s, a) or r(s, a, s'). In a dense r(s, a, s') a nan
-        outside the support of P means "undefined". In a sparse one an absent entry is 0
-        on the support and undefined elsewhere.
+        outside the support of P means "undefined". In a sparse one, or a list of A
+        sparse matrices of shape (S, S), an absent entry is 0 on the support and
+        undefined elsewhere. Repeated entries do not add up: equal ones count once,
+        others are averaged by the probabilities in the same repeated places of
+        ``transitions``. (``csr_array((data, (row, column)))`` adds them itself: use
+        ``coo_array``.)
     initial : array_like of shape (S,), int, name, or mapping
         The distribution mu_0 of the first state; or one state, by number or name; or a
         mapping from states to probabilities.
@@ -188,7 +193,7 @@ class FiniteMDP:
         sampling: Sampling | None = None,
     ) -> None:
         csr, n_states, n_actions = check_transitions(transitions)
-        expected, data, table = check_rewards(rewards, csr, n_actions)
+        expected, data, table = check_rewards(rewards, csr, n_actions, transitions)
         states = None
         if state_names is not None:
             states = check_names(state_names, "state_names", n_states)
@@ -206,7 +211,9 @@ class FiniteMDP:
             csr=csr,
             rewards=expected,
             reward_data=data,
-            initial=freeze(_checks.distribution(start, "initial", (n_states,))),
+            initial=freeze(
+                _checks.distribution(start, "initial", (n_states,), given=initial)
+            ),
             discount=_checks.number_in(discount, "discount", 0.0, 1.0),
             terminal_state=freeze(terminal),
             layout=coordinates(states) if own is None else own,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import unicodedata
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
+from oee_tabular._containers import is_labelled_series
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, IntArray, SupportsArray
 
@@ -52,6 +54,18 @@ class Names:
 
 
 NAMELESS = Names()
+# letters of Cyrillic and Greek, and dashes, that look like those on the right
+_LIKE_LATIN = dict(
+    zip(
+        "АВЕЅІЈКМНОРСТХаеорсухѕіјһԁԛԝΑΒΕΖΗΙΚΜΝΟΡΤΥΧο\u2010\u2011\u2212",
+        "ABESIJKMHOPCTXaeopcyxsijhdqwABEZHIKMNOPTYXo---",
+        strict=True,
+    )
+)
+# of no width, though they are letters or marks
+_INVISIBLE = frozenset("\u034f\u115f\u1160\u3164\u180b\u180c\u180d") | frozenset(
+    map(chr, range(0xFE00, 0xFE10))
+)
 MAX_NAME_DEPTH = 20  # of tuples in tuples; JSON of a name cannot exhaust the stack
 
 
@@ -71,6 +85,7 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     """Check that ``value`` is ``size`` different names and return them as a tuple.
 
     A name is a text that does not read as a number, or a tuple of texts and numbers.
+    Names are kept in Unicode's composed form (NFC), and no two may look alike.
 
     >>> check_names(["hall", (0, 1)], "state_names", 2)
     ('hall', (0, 1))
@@ -85,15 +100,51 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     for k, item in enumerate(names):
         place = f"{name}[{k}]"
         _require_name(item, place)
-        text = str(item)
-        if text in first:
+        look = _appearance(str(item))
+        if look in first:
+            other = first[look]
+            is_same = str(item) == str(names[other])
+            relation = "as" if is_same else "which looks as"
             raise ArgumentError(
                 name,
-                f"must differ; {place} is {_checks.show(item)}, as"
-                f" {name}[{first[text]}] is",
+                f"must differ; {place} is {_checks.show(item)}, {relation}"
+                f" {name}[{other}] {'is' if is_same else 'does'}"
+                f"{_tell_apart(given[k], given[other])}",
             )
-        first[text] = k
+        first[look] = k
     return names
+
+
+def normalize(text: str) -> str:
+    """Return a text in Unicode's composed form (NFC).
+
+    An accent is written with its letter or after it, which no eye tells apart.
+    """
+    return text if text.isascii() else unicodedata.normalize("NFC", text)
+
+
+def _appearance(text: str) -> str:
+    """Return a text that is the same for texts that look alike.
+
+    Invisible characters are left out, blanks are one, and letters of Greek and Cyrillic
+    that look like Latin ones are these.
+    """
+    if text.isascii():
+        return text
+    seen = [
+        " " if unicodedata.category(c) == "Zs" else _LIKE_LATIN.get(c, c)
+        for c in normalize(text)
+        if unicodedata.category(c) != "Cf" and c not in _INVISIBLE
+    ]
+    return "".join(seen)
+
+
+def _tell_apart(item: object, other: object) -> str:
+    """Return how the characters of two names that look alike differ, in words."""
+    if str(item) == str(other):
+        return ""
+    shown = (ascii(str(one))[:80] for one in (item, other))
+    return f" (in characters: {' and '.join(shown)})"
 
 
 def _require_name(item: object, place: str) -> None:
@@ -120,14 +171,14 @@ def _require_name(item: object, place: str) -> None:
 
 
 def to_plain(item: object, depth: int = 0) -> Any:
-    """Return a name without numpy's types, lists and arrays in it as tuples.
+    """Return a name without numpy's types, its texts composed, lists in it as tuples.
 
     What is nested too deep stays as it is.
     """
-    if isinstance(item, np.generic):
-        return item.item()
-    if isinstance(item, np.ndarray) and item.ndim == 0:
-        return item.item()
+    if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and not item.ndim):
+        item = item.item()
+    if isinstance(item, str):
+        return normalize(item)
     if isinstance(item, tuple | list | np.ndarray) and depth < MAX_NAME_DEPTH:
         return tuple(to_plain(part, depth + 1) for part in item)
     return item
@@ -247,6 +298,14 @@ def number_of(
 
 def suggest_name(item: Name, names: tuple[Name, ...]) -> str:
     """Return `` (did you mean 'hall'?)``, or the first names where none is near."""
+    alike = next(
+        (n for n in names if _appearance(str(n)) == _appearance(str(item))), None
+    )
+    if alike is not None and str(alike) != str(item):
+        return (
+            f" (which looks like {str(alike)!r:.80}, in other characters:"
+            f" {ascii(str(item))[:80]})"
+        )
     texts = {str(name)[:80]: name for name in names}
     close = difflib.get_close_matches(str(item)[:80], list(texts), n=1)
     if close:
@@ -314,8 +373,13 @@ def initial_distribution(
 ) -> Any:
     """Return a first state, or a mapping from states to probabilities, as (S,).
 
+    A Series with labels is a mapping.
     Anything else is returned as it is.
     """
+    if is_labelled_series(initial):
+        if not initial.index.is_unique:
+            raise ArgumentError("initial", "must have each state once in its index")
+        initial = initial.to_dict()
     is_scalar = getattr(initial, "ndim", 1) == 0
     is_tuple = isinstance(initial, tuple) and names is not None
     given = to_plain(initial) if is_scalar or is_tuple else initial

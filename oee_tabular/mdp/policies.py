@@ -69,7 +69,9 @@ def check_policy(
         action for each state, by number or name. Or a mapping from states to actions,
         or to their distributions ((A,), or a mapping from actions to probabilities), in
         which terminal states may be left out. Or a function of a state that returns
-        such; it is given a state's name, or its number where there are no names.
+        such, or a tuple that begins with the action, as (action, state) of other
+        libraries' ``predict``; it is given a state's name, or its number where there
+        are no names.
     mdp : FiniteMDP
         The model, or anything with ``n_states``, ``n_actions`` and ``terminal_state``.
     name : str, default 'policy'
@@ -117,7 +119,7 @@ def check_policy(
     shapes = (n_states, n_actions), (horizon, n_states, n_actions)
     # most calls pass such an array, of which one compiled look suffices
     given: Any = policy
-    is_float_array = isinstance(given, np.ndarray) and given.dtype == np.float64
+    is_float_array = type(given) is np.ndarray and given.dtype == np.float64
     if is_float_array and given.shape in shapes:
         array = np.array(given, order="C")
         if _are_distributions(array):
@@ -315,10 +317,11 @@ def _check_mixed(policy: Any, other: Any, name: str) -> Array:
     It may be (S,) actions where the ``other`` is (S, A).
     """
     given = _checks.as_array(policy, name)
-    if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
-        given = deterministic_policy(given, np.shape(other)[1], name)
+    shape = _checks.as_array(other, "policy").shape
+    if given.ndim == 1 and given.dtype.kind in "iu" and len(shape) == 2:
+        given = deterministic_policy(given, shape[1], name)
     array = _checks.float_array(given, name, ndim=(2, 3))
-    return _check_distributions(array, given, name)
+    return _check_distributions(array, policy, name)
 
 
 def read_policy_array(path: str, name: str) -> Array:
@@ -366,14 +369,16 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     is_function = callable(policy) and not hasattr(policy, "__array__")
     if isinstance(policy, Mapping) or is_function:
         return _choice_table(policy, mdp, name)
-    if hasattr(policy, "to_dict"):
+    # xarray's say more than their order
+    if hasattr(policy, "to_dict") and not hasattr(policy, "dims"):
         raise ArgumentError(
             name,
             f"must be an array or a mapping by state; got {type(policy).__name__} (of a"
             ' table with an action a column: policy.to_dict("index"); of a series:'
             " policy.to_dict(); of either by order: policy.to_numpy())",
         )
-    return _action_table(policy, mdp, name)
+    plain = _checks.plain_array(policy, name, "a policy's array")
+    return _action_table(plain, mdp, name)
 
 
 def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
@@ -397,6 +402,14 @@ def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
                 f"must differ; state {names.state(s)} is given twice",
             )
         if choice is not None or not is_free[s]:
+            if isinstance(choice, tuple):
+                choice = _choice_in_tuple(
+                    choice,
+                    names.actions,
+                    mdp.n_actions,
+                    place,
+                    is_returned=not isinstance(policy, Mapping),
+                )
             table[s] = _choice_row(choice, names.actions, mdp.n_actions, place)
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
@@ -434,6 +447,58 @@ def _list_choices(
         yield state, choice, place
 
 
+def _choice_in_tuple(
+    choice: tuple[Any, ...],
+    names: tuple[Name, ...] | None,
+    n_actions: int,
+    place: str,
+    *,
+    is_returned: bool,
+) -> Any:
+    """Return the action of a tuple (action, state, ...), or the tuple itself.
+
+    Models return such. A tuple of floats is a distribution, and so is one of any
+    numbers unless it ``is_returned`` by a function. A tuple may also be a name.
+    """
+    if len(choice) < 2 or _is_action(to_plain(choice), names):
+        return choice
+    integers = [_single_integer(part) for part in choice]
+    are_integers = None not in integers
+    if integers[0] is None:
+        begins_with_name = _is_action(to_plain(choice[0]), names) and names is not None
+        if begins_with_name:
+            return choice[0]
+        is_odd = any(part is None or isinstance(part, bool) for part in choice)
+        are_floats = not is_odd and all(number is None for number in integers)
+        if not is_returned or are_floats:
+            return choice
+    elif not is_returned and all(isinstance(part, int | float) for part in choice):
+        return choice
+    elif not (are_integers and len(choice) == n_actions):
+        return integers[0]
+    raise ArgumentError(
+        place,
+        "must be an action, (action, state), or a distribution as a list of floats; it"
+        f" is {_checks.show(choice)} (of a distribution: return a list; of an action:"
+        " return it alone)",
+    )
+
+
+def _single_integer(part: Any) -> int | None:
+    """Return an integer, or that in an array of one; None for anything else."""
+    if _checks.is_integer(part):
+        return int(part)
+    if not hasattr(part, "__array__") or not hasattr(part, "dtype"):
+        return None
+    try:
+        array = np.asarray(part)
+    except Exception:  # another library's object
+        return None
+    if array.size != 1 or array.dtype.kind not in "iu":
+        return None
+    return int(array.reshape(-1)[0])
+
+
 def _choice_row(
     choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str
 ) -> Array:
@@ -464,6 +529,7 @@ def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """
     names = names_of(mdp).actions
     n_actions = mdp.n_actions
+    array: Any
     try:
         array = np.asarray(policy)
     except (TypeError, ValueError):  # names of several lengths
@@ -498,5 +564,5 @@ def count_dimensions(value: Any) -> int:
     """Return the number of dimensions of an array; 0 for anything else."""
     try:
         return 0 if isinstance(value, Mapping) else int(np.ndim(value))
-    except (TypeError, ValueError):
+    except Exception:  # another library's object may raise anything
         return 0

@@ -12,8 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import (
     align,
-    canonical,
-    check_csr,
+    check_values,
     csr_on_pattern,
     row_of_entry,
     row_sums,
@@ -127,7 +126,7 @@ class TransitionRatio:
                 f" {self.values.shape}, another simulator's",
             )
         zeta, stored = align(
-            canonical(check_csr(self.values, "ratio"), drop_zeros=False),
+            check_values(self.values, "ratio"),
             simulator.transitions,
         )
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:

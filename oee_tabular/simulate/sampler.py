@@ -405,7 +405,9 @@ def sample_transitions(
         n_twins = mdp.n_states - n_own
         weights = np.concatenate([weights, np.zeros((n_twins, mdp.n_actions))])
     shape = (mdp.n_states, mdp.n_actions)
-    pairs = _checks.distribution(weights, "distribution", shape).reshape(-1)
+    pairs = _checks.distribution(
+        weights, "distribution", shape, given=distribution
+    ).reshape(-1)
     # episodes of one step, whose states are pairs and which have one action
     drawn = draw(
         mdp,

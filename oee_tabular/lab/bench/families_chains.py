@@ -129,6 +129,9 @@ def tandem(size: int = 45) -> Family:
     >>> family.simulator.n_states, round(family.truth, 1)
     (81, -98.7)
     """
+    size = _checks.positive_integer(size, "size")
+    if size < 2:
+        raise ArgumentError("size", f"must be at least 2; it is {size}")
 
     size = _checks.positive_integer(size, "size")
     if size < 2:
