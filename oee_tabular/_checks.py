@@ -318,9 +318,9 @@ def distribution(
             name, f"must have shape {shape}; it has shape {array.shape}"
         )
     require_nonnegative(array, name)
-    total = scale_sums(np.asarray(array.sum()), value if given is None else given)
+    total = np.asarray(array.sum())
     if total != 1.0:
-        array = array / total
+        array = array / scale_sums(total, value if given is None else given)
     require_sums_to_one(np.asarray(array.sum()), name)
     return array
 
@@ -361,6 +361,10 @@ def _single(value: Any, name: str, kinds: str) -> Any:
     """Return a single value without what holds it; TypeError for other kinds of it."""
     if type(value) is int or type(value) is float:
         return value
+    if isinstance(value, np.generic):
+        if value.dtype.kind not in kinds:
+            raise TypeError
+        return value
     plain = to_plain_array(value, name)
     if isinstance(plain, list | tuple):
         raise TypeError
@@ -396,6 +400,11 @@ def positive_integer(value: Any, name: str) -> int:
 def is_integer(value: object) -> bool:
     """Return whether a value is an integer of Python or numpy, and not a boolean."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def is_zero(value: object) -> bool:
+    """Return whether a value is the integer 0, or False, which turn a step off."""
+    return isinstance(value, int | np.integer | np.bool_) and value == 0
 
 
 def boolean(value: object, name: str) -> bool:
@@ -545,7 +554,9 @@ def _check_seed(seed: Any) -> Any:
     numpy follows other objects wherever they lead, to the end of the stack or of time.
     """
     own = (np.random.BitGenerator, np.random.Generator, np.random.RandomState)
-    if seed is None or isinstance(seed, (*own, ISeedSequence)):
+    if seed is None or (type(seed) is int and -1 < seed < 2**64):
+        return seed
+    if isinstance(seed, (*own, ISeedSequence)):
         return seed
     if not isinstance(seed, int | np.integer | list | tuple | range):
         seed = to_plain_array(seed, "seed")
@@ -554,6 +565,8 @@ def _check_seed(seed: Any) -> Any:
             seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()
         elif seed.dtype.kind not in "iub":
             raise TypeError(f"an array of {seed.dtype}")
+        elif seed.ndim == 0:
+            seed = seed.item()
     if isinstance(seed, np.ndarray):
         n_words: float = seed.size
     else:

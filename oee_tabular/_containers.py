@@ -106,6 +106,9 @@ def to_plain_array(
     if isinstance(array, np.ma.MaskedArray):
         return _plain_masked(array, name, index, allow_missing)
     array = np.asarray(array)
+    mask = _missing_of(value)
+    if mask is not None and mask.shape == array.shape and mask.any():
+        return _fill(array, mask, name, index, allow_missing, "missing")
     if array.dtype.hasobject:
         if array.ndim == 0:  # it is no array
             return inner
@@ -116,6 +119,21 @@ def to_plain_array(
 def _is_missing(value: object) -> bool:
     """Say whether a value is pandas's or polars's sign for a missing value."""
     return type(value).__name__ in ("NAType", "NaTType")
+
+
+def _missing_of(value: Any) -> NDArray[Any] | None:
+    """Say which values of pandas's, polars's or Arrow's own types are missing.
+
+    None for numpy's types, which have only nan.
+    """
+    is_frame = getattr(value, "ndim", 0) == 2 and hasattr(value, "dtypes")
+    types = list(value.dtypes) if is_frame else [getattr(value, "dtype", None)]
+    if all(isinstance(dtype, np.dtype) for dtype in types):
+        return None
+    for part in ("isna", "is_null"):
+        if hasattr(value, part):
+            return np.asarray(getattr(value, part)(), dtype=np.bool_)
+    return None
 
 
 def _missing(name: str, index: Index, allow_missing: bool, what: str) -> float:
@@ -131,15 +149,23 @@ def _plain_items(
     items: list[Any] | tuple[Any, ...], name: str, index: Index, allow_missing: bool
 ) -> Any:
     """Return a list whose items are plain; itself where they are."""
-    kinds = set(map(type, items))
-    if kinds <= _PLAIN or len(index) > MAX_DEPTH:
-        return items
-    if all(kind in _PLAIN or issubclass(kind, _SINGLE) for kind in kinds):
+    if len(index) > MAX_DEPTH or _are_plain(items, len(index)):
         return items
     return [
         to_plain_array(item, name, (*index, k), allow_missing=allow_missing)
         for k, item in enumerate(items)
     ]
+
+
+def _are_plain(items: list[Any] | tuple[Any, ...], depth: int) -> bool:
+    """Say whether a list holds single values, and lists of such, alone."""
+    kinds = set(map(type, items))
+    if kinds <= _PLAIN:
+        return True
+    if kinds <= {list, tuple}:
+        # one that holds itself is numpy's to refuse
+        return depth > MAX_DEPTH or all(_are_plain(item, depth + 1) for item in items)
+    return all(kind in _PLAIN or issubclass(kind, _SINGLE) for kind in kinds)
 
 
 def _plain_objects(
@@ -150,7 +176,7 @@ def _plain_objects(
     Names (texts and tuples) stay as they are.
     """
     known = (*_SINGLE, list, tuple)
-    kinds = set(map(type, array.flat))
+    kinds = set(map(type, array.reshape(-1).tolist()))
     if all(kind in _PLAIN or issubclass(kind, known) for kind in kinds):
         return array
     plain = np.empty(array.shape, dtype=object)
@@ -182,8 +208,20 @@ def _plain_masked(
         if data.dtype.hasobject:
             return _plain_objects(data, name, index, allow_missing)
         return data
+    return _fill(data, mask, name, index, allow_missing, "masked")
+
+
+def _fill(
+    data: NDArray[Any],
+    mask: NDArray[Any],
+    name: str,
+    index: Index,
+    allow_missing: bool,
+    what: str,
+) -> NDArray[Any]:
+    """Return values with nan where the mask says that one is missing, or an error."""
     first = tuple(np.argwhere(mask)[0])
-    nan = _missing(name, (*index, *first), allow_missing, "masked")
+    nan = _missing(name, (*index, *first), allow_missing, what)
     kind = data.dtype if data.dtype.kind in "fcO" else np.float64
     filled = np.array(data, dtype=kind)
     filled[mask] = nan

@@ -520,8 +520,8 @@ def choose_correction(
     Correction
         The correction.
     """
-    is_auto = history == "auto"
-    if history != "auto":
+    is_auto = isinstance(history, str) and history == "auto"
+    if not isinstance(history, str) or history != "auto":
         history = check_n_actions(history, "history")
     _progress.report_step("correction of the simulator by the log")
     plain = ResidualSimulator(task, log, seed=seed)

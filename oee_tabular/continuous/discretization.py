@@ -135,13 +135,8 @@ class GridInterpolation:
     vertex_weight: float = 0.01
 
     def __post_init__(self) -> None:
-        try:
-            shape = tuple(_checks.positive_integer(n, "shape") for n in self.shape)
-        except TypeError:
-            raise ArgumentError(
-                "shape",
-                f"must be a tuple of positive integers; got {_checks.show(self.shape)}",
-            ) from None
+        given = _checks.collection(self.shape, "shape", "a tuple of positive integers")
+        shape = tuple(_checks.positive_integer(n, "shape") for n in given)
         if not shape or min(shape) < 2:
             raise ArgumentError(
                 "shape",
@@ -597,7 +592,7 @@ def discretize(
         "others": [other.parameters() for other in mixed],
     }
     model = Discretization(simulators[0], process, places, simulators, metadata)
-    if closure_episodes:
+    if not _checks.is_zero(closure_episodes):
         model = _measure_closure(
             model, _checks.positive_integer(closure_episodes, "closure_episodes")
         )

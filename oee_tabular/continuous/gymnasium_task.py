@@ -214,7 +214,7 @@ class GymnasiumTask(ContinuousTask):
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
-        self.commands = np.array(actions)
+        self.commands = _checks.as_array(actions, "actions")
         self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
         self.n_disturbances = 0
         self.periodic = (False,) * len(state) if periodic is None else tuple(periodic)
@@ -252,7 +252,7 @@ class GymnasiumTask(ContinuousTask):
         self.family: Any = None
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
-        if check_steps:
+        if not _checks.is_zero(check_steps):
             n_steps = _checks.positive_integer(check_steps, "check_steps")
             record = self._check_steps(_make_one(make), n_steps)
             ways = [GymnasiumTask._step_arrays]

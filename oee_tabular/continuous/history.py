@@ -369,7 +369,7 @@ class HistoryTask(DerivedTask):
 
 def check_n_actions(value: int, name: str) -> int:
     """Return a number of last actions, 0 or a positive integer."""
-    if _checks.is_integer(value) and value == 0:
+    if value is not False and _checks.is_zero(value):
         return 0
     return _checks.positive_integer(value, name)
 

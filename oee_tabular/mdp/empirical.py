@@ -27,7 +27,6 @@ from scipy import sparse
 
 from oee_tabular import _checks, _progress
 from oee_tabular._sparse import (
-    check_csr,
     check_values,
     csr_on_pattern,
     is_matrix_list,

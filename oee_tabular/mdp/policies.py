@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
 from oee_tabular._keywords import suggest_keywords
@@ -222,15 +223,15 @@ def _is_list_of_policies(policies: Any, mdp: Sized) -> bool:
     if not policies:
         return True
     first = policies[0]
-    n_dimensions = count_dimensions(first)
-    if callable(first) or isinstance(first, Mapping) or n_dimensions >= 2:
+    shape = shape_of(first)
+    if callable(first) or isinstance(first, Mapping) or len(shape) >= 2:
         return True
-    if n_dimensions != 1:
+    if len(shape) != 1:
         return False
     # it is an action for each state, or the first row of a table (S, A)
     sizes = (mdp.n_states, len(mdp.terminal_state))
-    is_row = len(policies) in sizes and len(first) == mdp.n_actions
-    return len(first) in sizes and not is_row
+    is_row = len(policies) in sizes and shape[0] == mdp.n_actions
+    return shape[0] in sizes and not is_row
 
 
 def uniform_policy(mdp: Sized) -> Array:
@@ -301,8 +302,10 @@ def mix(
     [[0.8, 0.2]]
     """
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
-    array_a = _check_mixed(policy_a, policy_b, "policy_a")
-    array_b = _check_mixed(policy_b, policy_a, "policy_b")
+    both = {"policy_a": policy_a, "policy_b": policy_b}
+    given = {name: _checks.as_array(each, name) for name, each in both.items()}
+    array_a = _check_mixed(policy_a, given["policy_a"], given["policy_b"], "policy_a")
+    array_b = _check_mixed(policy_b, given["policy_b"], given["policy_a"], "policy_b")
     if array_a.shape != array_b.shape:
         raise ArgumentError(
             "policy_a and policy_b",
@@ -311,15 +314,15 @@ def mix(
     return np.asarray(weight * array_a + (1.0 - weight) * array_b)
 
 
-def _check_mixed(policy: Any, other: Any, name: str) -> Array:
+def _check_mixed(
+    policy: Any, given: NDArray[Any], other: NDArray[Any], name: str
+) -> Array:
     """Check a policy of a mixture and return it as an array of probabilities.
 
-    It may be (S,) actions where the ``other`` is (S, A).
+    ``given`` is its array. It may be (S,) actions where the ``other`` is (S, A).
     """
-    given = _checks.as_array(policy, name)
-    shape = _checks.as_array(other, "policy").shape
-    if given.ndim == 1 and given.dtype.kind in "iu" and len(shape) == 2:
-        given = deterministic_policy(given, shape[1], name)
+    if given.ndim == 1 and given.dtype.kind in "iu" and other.ndim == 2:
+        given = deterministic_policy(given, other.shape[1], name)
     array = _checks.float_array(given, name, ndim=(2, 3))
     return _check_distributions(array, policy, name)
 
@@ -514,7 +517,7 @@ def _choice_row(
             )
     elif is_named or _checks.is_integer(given):
         row[number_of(given, names, n_actions, name)] = 1.0
-    elif count_dimensions(choice) == 1 and len(choice) == n_actions:
+    elif shape_of(choice) == (n_actions,):
         row = _checks.float_array(choice, name, ndim=1)
     else:
         rule = f"an action, or a distribution over the {n_actions} actions"
@@ -562,7 +565,12 @@ def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
 
 def count_dimensions(value: Any) -> int:
     """Return the number of dimensions of an array; 0 for anything else."""
+    return len(shape_of(value))
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Return the shape of an array, or of lists that make one; () for anything else."""
     try:
-        return 0 if isinstance(value, Mapping) else int(np.ndim(value))
+        return () if isinstance(value, Mapping) else np.shape(value)
     except Exception:  # another library's object may raise anything
-        return 0
+        return ()

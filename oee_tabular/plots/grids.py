@@ -226,7 +226,7 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
     if isinstance(shape, Map):
         return shape
     try:
-        rows, columns = shape
+        rows, columns = _checks.collection(shape, "shape", "(rows, columns)")
     except (TypeError, ValueError):
         raise ArgumentError(
             "shape", f"must be (rows, columns); got {_checks.show(shape)}"

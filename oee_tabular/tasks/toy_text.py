@@ -19,7 +19,7 @@ from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.policies import count_dimensions
+from oee_tabular.mdp.policies import shape_of
 from oee_tabular.mdp.stepping import (
     MAX_EPISODE_STEPS,
     count_actions,
@@ -253,7 +253,8 @@ def record_episodes(
             " yourself: Transitions.from_episodes)",
         )
     # a policy may have more rows than the environment: twins of its states follow
-    n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
+    shape = shape_of(policy)
+    n_rows = shape[0] if len(shape) == 2 else 0
     numbered = SimpleNamespace(
         n_states=max(n_rows, n_observations),
         n_actions=n_actions,
