@@ -254,8 +254,9 @@ def _unwrap_pandas(value: Any, where: str) -> Any:
             raise ArgumentError(
                 where,
                 "must be a plain array, which is read by position; got"
-                f" {type(value).__name__} whose {axis} {_show_labels(labels)} not 0, 1,"
-                " 2, ... (in the order in which it stands: .to_numpy())",
+                f" {type(value).__name__} whose {axis} {_show_labels(labels)}"
+                f" {'is' if axis == 'index' else 'are'} not 0, 1, 2, ... (in the order"
+                " in which it stands: .to_numpy())",
             )
     types = [value.dtype] if len(axes) == 1 else list(value.dtypes)
     for dtype in types:  # of pint in pandas
@@ -287,13 +288,13 @@ def _counts_from_zero(labels: Any) -> bool:
 
 
 def _show_labels(labels: Any) -> str:
-    """Return the first labels in words, as the subject of "not"."""
+    """Return the first labels in brackets."""
     first = [str(label)[:40] for label in list(labels[: MAX_SHOWN_LABELS + 1])]
     shown = ", ".join(first[:MAX_SHOWN_LABELS])
     if len(first) > MAX_SHOWN_LABELS:
         shown += ", ..."
     printable = "".join(c if c.isprintable() else repr(c)[1:-1] for c in shown)
-    return f"is {printable} and"
+    return f"({printable})"
 
 
 def _is_table(value: Any) -> bool:
@@ -320,8 +321,8 @@ def _unwrap_table(value: Any, where: str) -> Any:
         raise ArgumentError(
             where,
             "must be a plain array, which is read by position; got"
-            f" {type(value).__name__} whose columns {_show_labels(names)} not unnamed"
-            f" (in the order in which they stand: {way})",
+            f" {type(value).__name__} with the columns {_show_labels(names)} (in the"
+            f" order in which they stand: {way})",
         )
     return np.asarray(value)
 
@@ -348,8 +349,8 @@ def _unwrap_dims(value: Any, dims: tuple[str, ...], where: str) -> Any:
                 where,
                 "must be a plain array, which is read by position; got"
                 f" {type(value).__name__} whose coordinate {dim!r}"
-                f" {_show_labels(np.asarray(labels))} not 0, 1, 2, ... (in the order in"
-                " which it stands: .to_numpy())",
+                f" {_show_labels(np.asarray(labels))} is not 0, 1, 2, ... (in the order"
+                " in which it stands: .to_numpy())",
             )
     inner = getattr(value, "data", None)
     has_unit = inner is not None and not isinstance(inner, memoryview)

@@ -44,8 +44,34 @@ HALL.with_layout([[0, 1], [2, np.nan], [0, 0]])  ->  layout[1, 1] must be finite
 HALL.with_layout([0, 1, -np.inf])  ->  layout[2] must be finite
 HALL.with_layout(["a", "b", "c"])  ->  layout must be an array of numbers
 displacements(HALL, layout=[1j, 2, 3])  ->  layout must be an array of numbers
+mdp([sparse.eye_array(2), sparse.eye_array(3)])  ->  transitions[1] must have shape (2, 2), of states and next states
+mdp([sparse.eye_array(2), np.eye(2)])  ->  transitions must be an array of numbers; got list (a sparse matrix)
+mdp(GOOD.astype(np.float32).astype(float) * (1 + 1e-7))  ->  transitions[0,
+  0] must sum to 1 ... (of single precision, or rounded? Divide each row by its sum)
+mdp(initial=[0.3333333, 0.6666666])  ->  initial must sum to 1 ... (of single precision, or rounded? Divide by the sum)
+mdp(rewards=sparse.coo_array(([1.0, 2.0], ([3, 3], [1, 1])), shape=(4, 2)))  ->  rewards[3,
+  1] must have one value; it has 1 and 2
+mdp(rewards=np.ma.array([0.0, 1.0], mask=[0, 1]))  ->  rewards[1] must be finite; it is nan
+mdp(rewards=pd.Series([0.0, 1.0], index=["b", "a"]))  ->  rewards
+  must be a plain array, ...; got Series whose index (b, a) is not 0, 1, 2, ...
+mdp(rewards=pd.DataFrame({"go": [0.0, 1.0], "stay": [0.0, 1.0]}))  ->  rewards
+  must be ...; got DataFrame whose columns (go, stay) are not 0, 1, 2
+mdp(discount=np.ma.masked)  ->  discount must have a value; it is masked
+mdp(terminal_state=np.ma.array([0, 1], mask=[0, 1]))  ->  terminal_state[1] must have a value; it is masked
+Transitions([0, pd.NA], [0, 0], [1, 1])  ->  state[1] must have a value; it is missing
+Transitions([0, 1], np.ma.array([0, 0], mask=[1, 0]), [1, 1])  ->  action[0] must have a value; it is masked
+occupancy(GRID, np.ma.array(UNIFORM, mask=UNIFORM > 1), horizon=np.ma.masked)  ->  horizon must have a value; it is masked
+sample_transitions(GRID, EVEN, 9, seed=range(10**8))  ->  seed
+  must be what numpy.random.default_rng takes; ... longer than 10000
+sample_transitions(GRID, EVEN, 9, seed=np.array([0.5]))  ->  seed
+  must be what numpy.random.default_rng takes; ...an array of float64
 
 # names of states and actions
+HALL.with_names(["caf\u00e9", "cafe\u0301", "c"])  ->  state_names
+  must differ; state_names[1] is ... (in characters: 'cafe\u0301' and 'caf\xe9')
+HALL.with_names(["h\u0430ll", "hall", "c"])  ->  state_names
+  must differ; state_names[1] is 'hall', which looks as state_names[0] does
+HALL.with_initial("h\u0430ll")  ->  initial must be one of ... (which looks like 'hall', in other characters: 'h\u0430ll')
 HALL.with_names(["a", "b"])  ->  state_names must have 3 names, one for each
 HALL.with_names(action_names=["a", "b", "c"])  ->  action_names must have 2 names, one for each
 HALL.with_names(["(0, 1)", "b", (0, 1)])  ->  state_names must differ; state_names[2] is (0, 1), as state_names[0] is
@@ -85,6 +111,10 @@ policy_value(GRID, [4] * 9)  ->  policy[0] must be in 0..3
 policy_value(HALL, lambda s: 0.5)  ->  policy('hall') must be an action, or a distribution over the 2 actions
 policy_value(HALL, lambda s: [1.0, 0.0, 0.0])  ->  policy('hall') must be an action, or a distribution over the 2 actions
 policy_value(HALL, lambda s: [1.5, -0.5])  ->  policy('hall')[1] must be nonnegative
+policy_value(HALL, lambda s: (1, 0))  ->  policy('hall')
+  must be an action, (action, state), or a distribution as a list of floats; it is (1, 0)
+policy_value(HALL, lambda s: (0.5, None))  ->  policy('hall') must be an action, (action, state), or
+policy_value(HALL, lambda s: (7, None))  ->  policy('hall') must be in 0..1
 policy_value(HALL, lambda s: True)  ->  policy('hall') must be an action
 policy_value(HALL, lambda s: "gone")  ->  policy('hall') must be one of the MDP's names; ... (did you mean 'go'?)
 policy_value(HALL, lambda s: {"go": 0.5})  ->  policy('hall') must sum to 1

@@ -135,8 +135,14 @@ class GridInterpolation:
     vertex_weight: float = 0.01
 
     def __post_init__(self) -> None:
-        given = _checks.collection(self.shape, "shape", "a tuple of positive integers")
-        shape = tuple(_checks.positive_integer(n, "shape") for n in given)
+        given = _checks.plain_array(self.shape, "shape")
+        try:
+            shape = tuple(_checks.positive_integer(n, "shape") for n in given)
+        except TypeError:
+            raise ArgumentError(
+                "shape",
+                f"must be a tuple of positive integers; got {_checks.show(self.shape)}",
+            ) from None
         if not shape or min(shape) < 2:
             raise ArgumentError(
                 "shape",

@@ -55,6 +55,9 @@ if TYPE_CHECKING:
 
 KIND = "finite_mdp"
 
+# a sparse matrix (S*A, S), or one (S, S) for each action
+MatrixLike: TypeAlias = SparseLike | list[SparseLike] | tuple[SparseLike, ...]
+
 # a distribution of states, one state by number or name, or a mapping from states to
 # probabilities
 InitialLike: TypeAlias = RealArrayLike | str | tuple[Any, ...] | Mapping[Any, float]
@@ -181,8 +184,8 @@ class FiniteMDP:
 
     def __init__(
         self,
-        transitions: RealArrayLike | SparseLike,
-        rewards: RealArrayLike | SparseLike,
+        transitions: RealArrayLike | MatrixLike,
+        rewards: RealArrayLike | MatrixLike,
         initial: InitialLike,
         discount: float,
         *,
@@ -317,7 +320,7 @@ class FiniteMDP:
         leaves[state[self.csr.indices != state]] = True
         return ~leaves
 
-    def with_transitions(self, new: RealArrayLike | SparseLike) -> Self:
+    def with_transitions(self, new: RealArrayLike | MatrixLike) -> Self:
         """Return the same MDP with other transition probabilities (eq. 3.4).
 
         Rewards r(s, a, s') are averaged again under the new probabilities.
@@ -363,7 +366,7 @@ class FiniteMDP:
                 )
         return self._replace(transitions=csr, sampling=None)
 
-    def with_rewards(self, rewards: RealArrayLike | SparseLike) -> Self:
+    def with_rewards(self, rewards: RealArrayLike | MatrixLike) -> Self:
         """Return the same MDP with other rewards.
 
         Parameters
@@ -626,7 +629,7 @@ class FiniteMDP:
     def from_log(
         cls,
         log: Transitions,
-        rewards: RealArrayLike | SparseLike | None = None,
+        rewards: RealArrayLike | MatrixLike | None = None,
         *,
         discount: float = 0.99,
         initial: InitialLike | None = None,

@@ -204,11 +204,14 @@ def test_a_series_with_labels_is_a_distribution_by_its_labels():
             r"rewards\[0, 0\] must be numbers without",
         ),
         (Named(R, ("action", "state")), r"dimensions 'action', 'state' \(.*transpose"),
-        (Named(R[0], ("s",), {"s": [1, 0]}), "coordinate 's' is 1, 0 and not 0, 1"),
-        (Named(R[0], ("s",), {"s": ["b", "a"]}), "coordinate 's' is b, a and not"),
-        (pd.DataFrame(R, columns=["l", "r"]), r"whose columns is l, r and .*to_numpy"),
-        (pd.DataFrame(R, index=[1, 0]), "whose index is 1, 0 and not 0, 1, 2"),
-        (pd.Series(R[0])[::-1], "got Series whose index is 1, 0 and"),
+        (Named(R[0], ("s",), {"s": [1, 0]}), r"coordinate 's' \(1, 0\) is not 0, 1"),
+        (Named(R[0], ("s",), {"s": ["b", "a"]}), r"coordinate 's' \(b, a\) is not"),
+        (
+            pd.DataFrame(R, columns=["l", "r"]),
+            r"whose columns \(l, r\) are not .*to_numpy",
+        ),
+        (pd.DataFrame(R, index=[1, 0]), r"whose index \(1, 0\) is not 0, 1, 2"),
+        (pd.Series(R[0])[::-1], r"got Series whose index \(1, 0\) is"),
         (pd.Series(R[0], index=pd.MultiIndex.from_tuples([(0, 0), (0, 1)])), "Series"),
     ],
     ids=str,
@@ -225,7 +228,7 @@ def test_tables_of_polars_and_arrow():
     arrow = pytest.importorskip("pyarrow")
     named = {"l": R[:, 0], "r": R[:, 1]}
     for table in (polars.DataFrame(named), arrow.table(named)):
-        with pytest.raises(ValueError, match=r"rewards .* columns is l, r"):
+        with pytest.raises(ValueError, match=r"rewards .* columns \(l, r\)"):
             MDP.with_rewards(table)
     assert_array_equal(MDP.with_rewards(polars.DataFrame(R)).rewards, R)
     for column in (polars.Series(R[0]), arrow.array(R[0]), arrow.chunked_array([R[0]])):

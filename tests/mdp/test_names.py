@@ -3,6 +3,7 @@ states, found again, and spoken.
 """
 
 import pickle
+import unicodedata
 from dataclasses import replace
 
 import numpy as np
@@ -270,3 +271,66 @@ def test_no_minus_zero_and_no_two_of_one():
     assert_array_equal(kind, np.zeros(4))
     assert not np.signbit(kinds).any()
     assert len(displacements(placed(layout=[0.3, 0.3 + 2e-9, 0.3]))[0]) == 3
+
+
+# ---- Unicode
+SPELLINGS = [
+    ("caf\u00e9", "cafe\u0301"),
+    ("\u212b", "\u00c5"),
+    ("\uac00", "\u1100\u1161"),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), SPELLINGS)
+def test_a_name_is_found_in_every_form_of_unicode(one, other):
+    P = np.full((2, 2, 2), 0.5)
+    for kept, asked in ((one, other), (other, one)):
+        mdp = oee.FiniteMDP(
+            P, [0.0, 1.0], asked, 0.9, state_names=[kept, "b"], action_names=[kept, "x"]
+        )
+        assert mdp.state_names == (unicodedata.normalize("NFC", one), "b")
+        policy = {asked: asked, "b": "x"}
+        assert oee.mdp.check_policy(policy, mdp).tolist() == [[1, 0], [0, 1]]
+        log = oee.Transitions([asked, "b"], [asked, asked], ["b", kept])
+        assert log.numbered(mdp).state.tolist() == [0, 1]
+        mixed = oee.Transitions([asked, kept], ["x", "x"], ["b", "b"])
+        assert len(mixed.state_names) == 2
+    nested = oee.FiniteMDP(P, [0.0, 1.0], 0, 0.9, state_names=[(one, 1), (one, 2)])
+    assert nested.with_initial((other, 2)).initial.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        *SPELLINGS,
+        ("hall", "h\u0430ll"),
+        ("a b", "a\u00a0b"),
+        ("ab", "a\u200bb"),
+        ("ab", "a\u00adb"),
+        ("a-b", "a\u2011b"),
+        ("\u0391", "A"),
+        ("x", "x\ufe0f"),
+        ((0, "hall"), (0, "h\u0430ll")),
+    ],
+)
+def test_names_that_look_alike_are_refused(one, other):
+    with pytest.raises(
+        ValueError, match=r"action_names must differ; action_names\[1\]"
+    ):
+        oee.FiniteMDP(
+            np.full((2, 2, 2), 0.5), [0.0, 1.0], 0, 0.9, action_names=[one, other]
+        )
+
+
+def test_a_name_in_other_characters_is_shown_as_such():
+    mdp = oee.FiniteMDP(
+        np.eye(2)[:, None], [0.0, 1.0], 0, 0.9, state_names=["hall", "b"]
+    )
+    with pytest.raises(ValueError, match=r"looks like 'hall', .*'h\\u0430ll'"):
+        mdp.with_initial("h\u0430ll")
+
+
+def test_names_that_differ_to_the_eye_stay_different():
+    names = ["x²", "x2", "ﬁt", "fit", "Hall", "hall", "ä", "a"]
+    mdp = oee.FiniteMDP(np.eye(8)[:, None], np.zeros(8), 0, 0.9, state_names=names)
+    assert mdp.state_names == tuple(names)

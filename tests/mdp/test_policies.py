@@ -309,3 +309,65 @@ def test_sampled_episodes():
     endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.5)
     # a log of a million is not cut
     assert len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000
+
+
+# ---- what models return
+TWO = oee.FiniteMDP(np.full((2, 2, 2), 0.5), np.zeros((2, 2)), 0, 0.9)
+THREE = oee.FiniteMDP(np.full((2, 3, 2), 0.5), np.zeros((2, 3)), 0, 0.9)
+
+
+@pytest.mark.parametrize(
+    "rest", [None, 0.0, {}, (), "state", np.zeros(3), [np.zeros((1, 2))], 7.5]
+)
+@pytest.mark.parametrize(
+    "action", [1, np.int64(1), np.uint8(1), np.array(1), np.array([1]), np.array([[1]])]
+)
+def test_a_tuple_that_begins_with_an_integer_is_an_action_and_a_state(action, rest):
+    for mdp in (TWO, THREE):
+        wanted = np.eye(mdp.n_actions)[[1, 1]]
+        for choice in ((action, rest), (action, rest, 0.5)):
+            found = check_policy(lambda s, c=choice: c, mdp)
+            assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("pair", [(1, 0), (0, 1), (np.array(1), np.array([0]))])
+def test_two_integers_of_two_actions_are_ambiguous(pair):
+    with pytest.raises(
+        ValueError, match=r"policy\(0\) must be an action, \(action, st"
+    ):
+        check_policy(lambda s: pair, TWO)
+    # of three actions they are no distribution
+    assert_array_equal(
+        check_policy(lambda s: pair, THREE), np.eye(3)[[int(pair[0])] * 2]
+    )
+
+
+@pytest.mark.parametrize(
+    "choice", [(0.5, 0.5, 0), (0.0, 1), (0.5, None), (True, None), (None, 1)]
+)
+def test_a_tuple_with_an_integer_or_none_elsewhere_is_no_distribution(choice):
+    with pytest.raises(ValueError, match=r"policy\(0\) must be an action"):
+        check_policy(lambda s: choice, THREE if len(choice) == 3 else TWO)
+
+
+@pytest.mark.parametrize(
+    "row", [(0.25, 0.75), [1, 0], [1, 0.0], np.array([1, 0]), (np.float32(0.5),) * 2]
+)
+def test_floats_and_lists_are_distributions(row):
+    assert_array_equal(check_policy(lambda s: row, TWO), [list(row)] * 2)
+
+
+def test_a_tuple_may_begin_with_a_name_or_be_one():
+    named = TWO.with_names(action_names=["left", ("turn", 1)])
+    for choice in (("left", None), ("turn", 1), (("turn", 1), {})):
+        k = int(choice[0] != "left")
+        assert_array_equal(
+            check_policy(lambda s, c=choice: c, named), np.eye(2)[[k, k]]
+        )
+
+
+def test_tuples_of_numbers_in_a_mapping_are_distributions():
+    assert_array_equal(check_policy({0: (1, 0), 1: (0, 1.0)}, TWO), np.eye(2))
+    assert_array_equal(
+        check_policy({0: (np.array(1), None), 1: (0, 1)}, TWO), [[0, 1], [0, 1]]
+    )
