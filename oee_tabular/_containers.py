@@ -275,6 +275,23 @@ def is_labelled_series(value: object) -> TypeGuard[Any]:
     )
 
 
+def without_shared_labels(columns: dict[str, Any]) -> dict[str, Any]:
+    """Return columns of one table without their labels, where these are the same.
+
+    The columns of a frame whose rows were chosen keep the numbers that these had.
+    """
+    series = [value for value in columns.values() if hasattr(value, "iloc")]
+    if len(series) < 2 or not all(map(is_labelled_series, series)):
+        return columns
+    first = series[0].index
+    if not all(first.equals(other.index) for other in series[1:]):
+        return columns
+    return {
+        name: value.reset_index(drop=True) if hasattr(value, "iloc") else value
+        for name, value in columns.items()
+    }
+
+
 def _counts_from_zero(labels: Any) -> bool:
     """Say whether labels are 0, 1, 2, ..."""
     parts = [getattr(labels, part, None) for part in ("start", "step")]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Never, Self
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._containers import without_shared_labels
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
@@ -146,11 +147,26 @@ class Transitions(LogColumns):
                 "must be given, (n,) as state (of a data frame:"
                 " Transitions.from_frame(frame))",
             )
+        given = without_shared_labels(
+            {
+                "state": state,
+                "action": action,
+                "next_state": next_state,
+                "reward": reward,
+                "terminated": terminated,
+                "episode": episode,
+                "timestep": timestep,
+                "behavior_probability": behavior_probability,
+                "truncated": truncated,
+            }
+        )
         (states, following), called = encode_names(
-            {"state": state, "next_state": next_state}, state_names, "state_names"
+            {name: given.pop(name) for name in ("state", "next_state")},
+            state_names,
+            "state_names",
         )
         (actions,), acts = encode_names(
-            {"action": action}, action_names, "action_names"
+            {"action": given.pop("action")}, action_names, "action_names"
         )
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
@@ -158,12 +174,7 @@ class Transitions(LogColumns):
             states,
             actions,
             following,
-            reward,
-            terminated=terminated,
-            episode=episode,
-            timestep=timestep,
-            behavior_probability=behavior_probability,
-            truncated=truncated,
+            **given,
         )
         for column, names in self._names().items():
             bad = np.flatnonzero(getattr(self, column) >= len(names))

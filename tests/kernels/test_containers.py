@@ -192,6 +192,20 @@ def test_a_series_with_labels_is_a_distribution_by_its_labels():
         MDP.with_initial(pd.Series([0.5, 0.5], index=[0, 0]))
 
 
+def test_columns_of_chosen_rows_of_a_frame_are_one_log():
+    frame = pd.DataFrame(
+        {"state": [0, 1, 2], "action": [0, 0, 1], "next_state": [1, 2, 0], "pay": 1.0}
+    )
+    chosen = frame[frame["state"] > 0]
+    columns = [chosen[name] for name in ("state", "action", "next_state", "pay")]
+    assert Transitions(*columns).state.tolist() == [1, 2]
+    for odd in (frame["pay"][:2], chosen["pay"][::-1]):
+        with pytest.raises(ValueError, match="must be a plain array"):
+            Transitions(*columns[:3], odd)
+    with pytest.raises(ValueError, match="state must be a plain array"):
+        Transitions(chosen["state"], [0, 1], [2, 0])
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
