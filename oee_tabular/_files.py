@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import math
 import os
 import re
+import stat
 import tempfile
 import uuid
 import warnings
@@ -33,6 +35,8 @@ KINDS = {
 # a spreadsheet reads a cell that begins with one of these as a formula
 FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 LONGEST_PATH = 1000  # characters; systems allow 255 to 4096, and errors repeat it
+MAX_HEADER_BYTES = 10_000  # of an npy, as numpy reads
+MAX_TEXT_BYTES = 2**28  # of a file that is read as one text
 _ZIP = (
     b"PK\x03\x04",
     b"PK\x05\x06",
@@ -45,8 +49,11 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
     Nothing is opened. ``argument`` is the name that errors begin with.
     """
     if not isinstance(path, str | os.PathLike):
+        hint = ""
+        if hasattr(path, "read"):
+            hint = " (an open file is none: give the name of a file)"
         raise ArgumentError(
-            argument, f"must be a path of a file; got {type(path).__name__}"
+            argument, f"must be a path of a file; got {type(path).__name__}{hint}"
         )
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name or not name:
@@ -76,6 +83,56 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
             " fetched",
         )
     return name
+
+
+def require_regular(path: str | os.PathLike[str]) -> None:
+    """Raise an error unless a path leads to a regular file.
+
+    Opening a named pipe waits for its writer, and a device has no end. A link counts
+    as what it leads to. What is not there, or is a folder, is an OSError as ever.
+    """
+    mode = os.stat(path).st_mode
+    if stat.S_ISREG(mode):
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", path)
+    kinds = {
+        "a named pipe": stat.S_ISFIFO,
+        "a socket": stat.S_ISSOCK,
+        "a device": lambda mode: stat.S_ISCHR(mode) or stat.S_ISBLK(mode),
+    }
+    kind = next((kind for kind, is_such in kinds.items() if is_such(mode)), "none")
+    raise ArgumentError(
+        f"{os.fspath(path)!r}",
+        f"must be a regular file; it is {kind} (write what comes out of it to a file"
+        " first)",
+    )
+
+
+def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
+    """Open a user's regular file to read its bytes; all others are an error."""
+    require_regular(path)
+    # should a pipe have taken the file's place, this does not wait for its writer
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    number = os.open(path, flags)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise ArgumentError(f"{os.fspath(path)!r}", "must stay a regular file")
+    return os.fdopen(number, "rb")
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a user's regular file, in UTF-8.
+
+    A file that no text of this package is as large as is an ArgumentError.
+    """
+    with open_regular(path) as handle:
+        data = handle.read(MAX_TEXT_BYTES + 1)
+    if len(data) > MAX_TEXT_BYTES:
+        raise ArgumentError(
+            f"{os.fspath(path)!r}", f"must have at most {MAX_TEXT_BYTES} bytes"
+        )
+    return data.decode()
 
 
 def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
@@ -297,20 +354,18 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         If the arrays do not fit into memory; the text says how much they need.
     """
     name = local(path)
-    with open(name, "rb") as handle, warnings.catch_warnings():
+    with open_regular(name) as handle, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a broken header may be strange Python
         try:
-            is_zip = handle.read(4) in _ZIP
-            members = zipfile.ZipFile(handle).infolist() if is_zip else []
-            size = sum(member.file_size for member in members)
-            if not is_zip:
+            if handle.read(4) in _ZIP:
+                arrays = _read_members(handle, name)
+            else:
+                handle.seek(0)
                 size = os.fstat(handle.fileno()).st_size
-            _checks.require_memory(size, repr(name), size=1)
-            handle.seek(0)
-            loaded = np.load(handle, allow_pickle=False)
-            arrays = dict(loaded) if is_zip else {"array": loaded}
-            if not all(isinstance(array, np.ndarray) for array in arrays.values()):
-                raise ValueError("a member is no array")
+                needed = _check_npy_header(handle, size)
+                _checks.require_memory(needed, repr(name), size=1)
+                handle.seek(0)
+                arrays = {"array": np.lib.format.read_array(handle, allow_pickle=False)}
         except Exception as error:
             # zipfile, zlib, ast and numpy raise many classes on bytes that are not
             # theirs
@@ -329,6 +384,58 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
+def _read_members(handle: IO[bytes], name: str) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an npz, each of which has the size that its header tells.
+
+    Sizes are compared before anything is unpacked.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    with zipfile.ZipFile(handle) as archive:
+        members = archive.infolist()
+        total = sum(member.file_size for member in members)
+        for member in members:
+            with archive.open(member) as file:
+                needed = _check_npy_header(file, member.file_size)
+            if needed != member.file_size:
+                raise ValueError(
+                    f"{member.filename!r} has {member.file_size} bytes, where its"
+                    f" header needs {needed}"
+                )
+        _checks.require_memory(total, repr(name), size=1)
+        for member in members:
+            label = member.filename.removesuffix(".npy")
+            if label in arrays:
+                raise ValueError(f"it holds {label!r} twice")
+            with archive.open(member) as file:
+                arrays[label] = np.lib.format.read_array(file, allow_pickle=False)
+                file.read(1)  # the end of the file, where zipfile compares the CRC
+    return arrays
+
+
+def _check_npy_header(file: IO[bytes], size: int) -> int:
+    """Return how many bytes an npy takes by its header; raise a ValueError for others.
+
+    ``size``: how many there are.
+    """
+    version = np.lib.format.read_magic(file)
+    length = int.from_bytes(file.read(2 if version == (1, 0) else 4), "little")
+    if length > MAX_HEADER_BYTES:
+        raise ValueError(f"its header has {length} bytes")
+    start = file.tell()
+    file.seek(0)
+    np.lib.format.read_magic(file)
+    read: Any = np.lib.format.read_array_header_1_0
+    if version != (1, 0):
+        read = np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file, max_header_size=MAX_HEADER_BYTES)
+    if dtype.hasobject:
+        raise ValueError("it holds an array of objects, which would be a pickle")
+    needed = start + length + math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or needed > size:
+        raise ValueError(f"it has {size} bytes, where its header needs {needed}")
+    return needed
+
+
 def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
     """Return the kind that ``save_npz`` wrote with the arrays, None for other files."""
     return str(arrays[KIND]) if KIND in arrays else None
@@ -342,6 +449,15 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
     name = local(path)
     if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
         return None
-    with contextlib.suppress(Exception), open(name, "rb") as handle:
-        return str(np.load(handle, allow_pickle=False)[KIND])
-    return None  # whoever reads all of the file reports what is wrong with it
+    # whoever reads all of the file reports what is wrong with it
+    with (
+        contextlib.suppress(Exception),
+        open_regular(name) as handle,
+        zipfile.ZipFile(handle) as archive,
+        archive.open(f"{KIND}.npy") as file,
+    ):
+        size = archive.getinfo(f"{KIND}.npy").file_size
+        if size <= MAX_HEADER_BYTES and _check_npy_header(file, size) == size:
+            file.seek(0)
+            return str(np.lib.format.read_array(file, allow_pickle=False))
+    return None

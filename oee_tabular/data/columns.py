@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +10,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from oee_tabular import _checks, _files
+from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
+from oee_tabular.data.joining import join_logs
 from oee_tabular.data.rules import (
     COLUMNS,
+    NO_NAMES,
     ColumnLike,
     check_array,
     find_order_faults,
@@ -288,13 +291,7 @@ class LogColumns:
             if all(name in part for part in columns)
         }
         if "episode" in joined:
-            parts_of_episodes = joined["episode"]
-            sizes = [int(part.max()) + 1 for part in parts_of_episodes[:-1]]
-            firsts = np.cumsum([0, *sizes])
-            joined["episode"] = [
-                part + first
-                for part, first in zip(parts_of_episodes, firsts, strict=True)
-            ]
+            joined["episode"] = _number_on(joined["episode"])
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Seed) -> Self:
@@ -364,7 +361,8 @@ class LogColumns:
         path : path_like, or iterable of path_like
             A file .npz, .csv or .parquet, a Minari folder, or a Minari id that is on
             this machine. Several files, a pattern or a folder of files are one log, in
-            the order of their names (``concatenate``).
+            the order of their names, numbers by their size (``concatenate``). An
+            episode that is cut at the end of a file goes on in the next one.
 
         Returns
         -------
@@ -398,13 +396,19 @@ class LogColumns:
         >>> Transitions.load(path)
         Transitions(2 transitions: 0 terminated, 0 truncated; states 0..2, actions 0..0)
         """
-        logs = []
+        return cls._load(path)
+
+    @classmethod
+    def _load(cls, path: files.Paths, names: files.OwnNames = NO_NAMES) -> Self:
+        """Read a log from files; ``names`` are the simulator's, where it is known.
+
+        They are by the labels of columns, and none of them is a word for no value.
+        """
+        found = files.find_log_files(path)
         reported: set[str] = set()
-        for file in files.find_log_files(path):
-            columns = files.load(cls.FILES, file, reported)
-            with _files.parts_of(file.path, "a log"):
-                logs.append(cls(**columns))
-        return logs[0] if len(logs) == 1 else cls.concatenate(logs)
+        parts = (files.load(cls.FILES, file, reported, names) for file in found)
+        log: Self = join_logs(cls, found, parts)
+        return log
 
 
 def _number_texts(episode: Any) -> Any:
@@ -420,6 +424,19 @@ def _number_texts(episode: Any) -> Any:
     if items and all(isinstance(item, str) for item in items):
         return number_in_order(items)[0]
     return episode
+
+
+def _number_on(parts: Sequence[IntArray]) -> list[IntArray]:
+    """Return the episodes of several logs with numbers that are no other log's."""
+    sizes = [int(part.max()) + 1 - min(int(part.min()), 0) for part in parts]
+    if sum(sizes) >= 2**63:  # which 64 bits do not hold
+        parts = [np.unique(part, return_inverse=True)[1] for part in parts]
+        sizes = [int(part.max()) + 1 for part in parts]
+    firsts = itertools.accumulate(sizes[:-1], initial=0)
+    return [
+        part + (first - min(int(part.min()), 0))
+        for part, first in zip(parts, firsts, strict=True)
+    ]
 
 
 def _episode_starts(episode: IntArray) -> IntArray:

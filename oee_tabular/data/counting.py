@@ -11,23 +11,32 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular.data.counts import N_REASONS, Recording
+from oee_tabular.data.joining import Row, order_hint
 from oee_tabular.data.rules import (
     COLUMNS,
     KEY,
     MOVE,
     Fault,
     check_column,
+    find_headers,
     find_order_faults,
     find_repeat,
 )
 from oee_tabular.data.sums import add_sums, join_sums
-from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
+from oee_tabular.data.tables import (
+    LogFile,
+    Piece,
+    Table,
+    add_folders,
+    open_table,
+    sum_groups,
+)
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import Name
@@ -46,12 +55,14 @@ class Limits(NamedTuple):
     """Hold what rows must keep to: numbers below ``sizes`` (states, actions), or names.
 
     ``drop``: whether other rows are left out. ``kept``: the transitions of the sample.
+    ``has_others``: whether an episode may go on in another file.
     """
 
     sizes: tuple[int, int] = (LARGEST, LARGEST)
     names: tuple[tuple[Name, ...] | None, tuple[Name, ...] | None] = (None, None)
     drop: bool = False
     kept: int = 200_000
+    has_others: bool = False
 
 
 class Sample(NamedTuple):
@@ -98,14 +109,80 @@ def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
     return Sample(rows, limit)
 
 
+class Run(NamedTuple):
+    """Hold the rows of an episode that may go on in another file.
+
+    ``rows`` are its columns, or None where they are more than a sample has; ``place``
+    is that of the episode in the draw.
+    """
+
+    rows: dict[str, Column] | None
+    n: int
+    place: int
+    is_broken: bool
+
+    def join(self, other: Run, kept: int) -> Run:
+        """Return the episode that goes on in the ``other``, with its own place."""
+        n = self.n + other.n
+        rows = None
+        if self.rows is not None and other.rows is not None and n <= kept:
+            rows = {
+                label: np.concatenate([self.rows[label], other.rows[label]])
+                for label in self.rows
+                if label in other.rows
+            }
+        return Run(rows, n, self.place, self.is_broken or other.is_broken)
+
+    def sample(self, kept: int) -> Sample:
+        """Return the sample that the episode is by itself."""
+        if self.is_broken:
+            return Sample()
+        if self.rows is None or self.n > kept:
+            return Sample(limit=self.place)
+        place = np.full(self.n, self.place, dtype=np.uint64)
+        return Sample(self.rows | {"place": place})
+
+
+class Ends(NamedTuple):
+    """Hold what of a file may be an episode that goes on in another one.
+
+    Attributes
+    ----------
+    first, last : Row
+        The first and the last row that have an episode.
+    head : Run
+        The first episode.
+    tail : Run or None
+        The last episode; None where it is over, or is the head.
+    is_single : bool
+        Whether all rows are of one episode.
+    others : tuple of int
+        The lengths of the shortest and the longest of the other episodes; none for
+        none.
+    """
+
+    first: Row
+    last: Row
+    head: Run
+    tail: Run | None
+    is_single: bool
+    others: tuple[int, ...]
+
+
 class FileCounts(NamedTuple):
-    """Hold the sums of a file, how it was recorded, and the labels of its columns."""
+    """Hold the sums of a file, how it was recorded, and the labels of its columns.
+
+    ``ends`` is None where no episode goes on in another file, and ``episodes`` are
+    those that stand in folders ``column=value``.
+    """
 
     sums: dict[str, Column] | None
     recording: Recording
     sample: Sample
     known: frozenset[str]
     unknown: tuple[str, ...]
+    ends: Ends | None = None
+    episodes: tuple[str, ...] = ()
 
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
@@ -117,8 +194,9 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         columns = form.to_table(Transitions.load(file.path).columns())
         labels = list(columns)
         whole = Piece(columns, np.arange(len(columns["state"])), {})
-        table = Table(labels, labels, [whole])
-    count = _FileCount(file.path, limits, name)
+        whole = add_folders(file, form, whole)
+        table = Table(labels, list(whole.columns), [whole])
+    count = _FileCount(file, limits, name, table)
     has_episodes = not {"episode", "timestep"}.isdisjoint(table.known)
     can_group = file.suffix == ".parquet" and not has_episodes
     if not (can_group and count.add_groups(table)):
@@ -128,15 +206,33 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     sums = join_sums(count.sums) if count.sums else None
     recording = count.recording(sums, table)
     unknown = tuple(label for label in table.labels if label not in COLUMNS)
-    return FileCounts(sums, recording, sample, frozenset(table.known), unknown)
+    episodes: tuple[str, ...] = ()
+    if file.fixed and count.names:
+        episodes = tuple(map(str, np.unique(np.concatenate(count.names).astype(str))))
+    return FileCounts(
+        sums,
+        recording,
+        sample,
+        frozenset(table.known),
+        unknown,
+        count.ends,
+        episodes,
+    )
 
 
 class _FileCount:
     """Hold the sums of the pieces so far, their faults, and their episodes."""
 
-    def __init__(self, path: str, limits: Limits, name: str) -> None:
-        self.path = path
+    def __init__(self, file: LogFile, limits: Limits, name: str, table: Table) -> None:
+        self.file = file
+        self.path = file.path
+        self.table = table
         self.limits = limits
+        self.ends: Ends | None = None
+        self.first: Row | None = None
+        # the rows of the first episode, where another file may begin it
+        self.head: list[dict[str, Column]] = []
+        self.n_head = 0
         self.name = name
         self.sums: list[dict[str, Column]] = []
         self.faults: dict[str, FirstFault] = {}  # by kind
@@ -176,6 +272,8 @@ class _FileCount:
 
         States, actions and flags are replaced by their checked values.
         """
+        if find_headers({label: groups[label] for label in MOVE}, labels).size:
+            return True
         for label in labels:
             if label in (*KEY, "truncated"):
                 groups[label], fault = self._check(groups[label], label)
@@ -234,6 +332,8 @@ class _FileCount:
     def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
         """Note a fault of rows of a piece, whose numbers in the file are ``rows``."""
         row = int(rows[fault.rows[0]])
+        if kind not in self.faults:
+            fault = fault.with_text(self.table.find_text(fault.label, row))
         self._note(kind, row, fault.place(row), fault.problem(), len(fault.rows))
 
     def _note(self, kind: str, row: int, place: str, rule: str, n: int = 1) -> None:
@@ -258,7 +358,13 @@ class _FileCount:
         is_broken = is_bad | is_gap
         self.broken.append(run[is_broken] - is_first[is_broken])
         follows = ~(is_first | is_broken | before["is_bad"])
-        for fault in find_order_faults(columns, before, is_first & ~is_broken, follows):
+        begins = is_first & ~is_broken
+        if self.first is None:
+            self.first = self._row(columns, 0, is_sound=not is_broken[0])
+            begins[0] &= not self.limits.has_others  # it may go on from another file
+        hint = order_hint(self.file, self.table.known)
+        for fault in find_order_faults(columns, before, begins, follows):
+            fault = fault._replace(hint=fault.hint + hint)
             self._note_fault(f"order of {fault.label}", fault, rows)
             is_broken[fault.rows] = True
         self.broken.append(run[is_broken])
@@ -271,13 +377,27 @@ class _FileCount:
         self.n_runs = int(run[-1]) + 1
         self._keep_rows(columns, run)
 
+    def _row(self, columns: dict[str, Column], k: int, *, is_sound: bool) -> Row:
+        """Return one row of columns as an end of the file."""
+        labels = [label for label in COLUMNS if label in columns]
+        return Row(
+            self.path, {label: _item(columns[label][k]) for label in labels}, is_sound
+        )
+
     def _keep_rows(self, columns: dict[str, Column], run: IntArray) -> None:
         """Keep the rows whose episodes may be in the sample."""
         place = hash_places(np.arange(run[0], self.n_runs), self.name)[run - run[0]]
         labels = [label for label in COLUMNS if label in columns and label != "episode"]
         own = {label: columns[label] for label in labels}
         marked = own | {"run": run, "place": place}
-        self.kept.append(choose(marked, place < np.uint64(self.limit)))
+        is_wanted = place < np.uint64(self.limit)
+        if self.limits.has_others and run[0] == 0:
+            is_head = run == 0
+            if self.n_head <= self.limits.kept:
+                self.head.append(choose(own, is_head))
+            self.n_head += int(is_head.sum())
+            is_wanted &= ~is_head
+        self.kept.append(choose(marked, is_wanted))
         if (
             sum(len(kept["run"]) for kept in self.kept)
             > MAX_SAMPLE_FACTOR * self.limits.kept
@@ -313,8 +433,49 @@ class _FileCount:
             self.broken.append(np.array([self.n_runs - 1]))
         sample = self._cut()
         rows = dict(sample.rows)
+        if self.limits.has_others:
+            rows = self._part_ends(rows)
         rows.pop("run", None)
         return sample._replace(rows=rows)
+
+    def _part_ends(self, rows: dict[str, Column]) -> dict[str, Column]:
+        """Note the episodes that may go on in another file; return the rows of others.
+
+        The rows are those of the sample, in which the first episode is not.
+        """
+        broken = set(np.concatenate(self.broken).tolist())
+        last_run = self.n_runs - 1
+        is_sound = self.last_lost < self.last_row and not self.last["is_bad"][0]
+        last = self._row(self.last, 0, is_sound=bool(is_sound))
+        place = hash_places(np.array([0, last_run]), self.name).tolist()
+        head = None
+        if self.n_head <= self.limits.kept:
+            labels = self.head[0]
+            head = {
+                label: np.concatenate([part[label] for part in self.head])
+                for label in labels
+            }
+        first_run = Run(head, self.n_head, place[0], 0 in broken)
+        length = np.diff(np.concatenate(self.starts, axis=1)[0], append=self.n_rows)
+        between = length[1:]
+        tail = None
+        is_over = last.values.get("terminated") or last.values.get("truncated")
+        if last_run and not is_over:
+            is_tail = rows["run"] == last_run
+            own = {
+                label: column[is_tail]
+                for label, column in rows.items()
+                if label not in ("run", "place")
+            }
+            has_tail = bool(is_tail.any())
+            n_tail = int(between[-1])
+            tail = Run(own if has_tail else None, n_tail, place[1], last_run in broken)
+            rows = choose(rows, ~is_tail)
+            between = between[:-1]
+        others = (int(between.min()), int(between.max())) if between.size else ()
+        assert self.first is not None
+        self.ends = Ends(self.first, last, first_run, tail, last_run == 0, others)
+        return rows
 
     def recording(self, sums: Mapping[str, Column] | None, table: Table) -> Recording:
         """Return how the file was recorded, with the first row of each fault.
@@ -350,6 +511,11 @@ class _FileCount:
             truncated=self.n_truncated,
             broken=int((broken >= 0).sum()),
         )
+
+
+def _item(value: Any) -> Any:
+    """Return a value of an array as Python's own."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:

@@ -6,9 +6,10 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -17,26 +18,31 @@ from oee_tabular.data.frames import is_minari, minari_columns, save_minari
 from oee_tabular.data.rules import (
     COLUMNS,
     MOVE,
+    NO_NAMES,
     as_objects,
     check_table,
     require_columns,
+    settle_episodes,
     warn_left_out,
 )
 from oee_tabular.data.tables import (
     LogFile,
+    Piece,
     Table,
+    add_folders,
     count_parquet_rows,
     open_table,
     write_parquet,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import from_text, to_text
+from oee_tabular.mdp.naming import Name, from_text, to_text
 from oee_tabular.typing import Column
 
 # a file, a folder, a pattern, or several
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 ENDINGS = (".csv", ".parquet", ".npz", ".csv.gz")
 Columns = dict[str, Column]
+OwnNames: TypeAlias = Mapping[str, tuple[Name, ...] | None]  # by a column's label
 
 
 class Format:
@@ -111,16 +117,21 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
         raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
 
 
-def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
+def load(
+    form: Format, file: LogFile, reported: set[str], names: OwnNames = NO_NAMES
+) -> Columns:
     """Read the columns of a log in the format of the path's ending.
 
-    Warns of unknown columns that are not ``reported``.
+    Warns of unknown columns that are not ``reported``. ``names``: by the labels of
+    columns, the simulator's, where it is known.
     """
     name = _files.local(file.path)
+    if os.path.exists(name) and not os.path.isdir(name):
+        _files.require_regular(name)
     if file.suffix == ".npz":
-        columns = _load_npz(form, name)
+        columns = _load_npz(form, file, name)
     elif file.suffix in (".csv", ".parquet"):
-        columns = _load_table(form, file, name, reported)
+        columns = _load_table(form, file, name, reported, names)
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
     else:
@@ -128,7 +139,20 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
     return {column: columns[column] for column in COLUMNS if column in columns}
 
 
-def _load_npz(form: Format, name: str) -> Columns:
+def _load_npz(form: Format, file: LogFile, name: str) -> Columns:
+    """Read the columns of a log from an npz file, and of its folders."""
+    columns = _read_npz(form, name)
+    if not file.fixed:
+        return columns
+    n = len(next(iter(columns.values())))
+    whole = add_folders(file, form, Piece(columns, np.arange(n), {})).columns
+    return columns | check_table(
+        {label: column for label, column in whole.items() if label not in columns},
+        repr(name),
+    )
+
+
+def _read_npz(form: Format, name: str) -> Columns:
     """Read the columns of a log from an npz file."""
     columns = _files.load_npz(name, form.kind)
     columns.pop(_files.KIND)
@@ -146,10 +170,16 @@ def _load_npz(form: Format, name: str) -> Columns:
     return columns
 
 
-def _load_table(form: Format, file: LogFile, name: str, reported: set[str]) -> Columns:
+def _load_table(
+    form: Format, file: LogFile, name: str, reported: set[str], names: OwnNames
+) -> Columns:
     """Read the columns of a log from a CSV or parquet file."""
     table = open_table(file, form)
-    values = check_table(_read_whole(file, table), repr(name))
+    values = check_table(
+        _read_whole(file, table), repr(name), names=names, find_text=table.find_text
+    )
+    if "episode" in values:
+        values["episode"] = settle_episodes(values["episode"])
     columns = form.from_table(values, name)
     unknown = [
         label
@@ -184,14 +214,15 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
 def find_log_files(path: Paths) -> list[LogFile]:
     """Find the files that a path, a folder, a pattern or a list of them names.
 
-    They are in the order of their names. Files and folders that begin with a dot or an
-    underscore are left out, as writers of folders mean them; folders ``column=value``
-    name a column [1]. A folder without any is a Minari data set.
+    They are in the order of their names, in which numbers count as such: part.2 is
+    before part.10. Files and folders that begin with a dot or an underscore are left
+    out, as writers of folders mean them; folders ``column=value`` name a column [1]. A
+    folder without any is a Minari data set.
 
     [1] Apache Hive.
     """
-    if isinstance(path, str | os.PathLike):
-        given = [path]
+    if isinstance(path, str | os.PathLike) or hasattr(path, "read"):
+        given: Any = [path]
     else:
         given = list(_checks.collection(path, "path", "paths of files"))
     some = [file for one in given for file in _files_at(_files.local(one))]
@@ -210,27 +241,49 @@ def _files_at(name: str) -> list[LogFile]:
     """Find the files of a folder or a pattern, or the one of this name."""
     place = Path(name)
     if place.is_dir():
-        files = [file for file in sorted(place.rglob("*")) if file.is_file()]
-        if not files:
-            raise ArgumentError(
-                "path",
-                f"must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
-                " none",
-            )
-        ways = [file.relative_to(place) for file in files]
-        found = [
-            LogFile(str(place / way), _parse_folders(way))
-            for way in ways
-            if _is_data_file(way)
-        ]
-        return found or [LogFile(name)]
-    if place.is_file() or not glob.has_magic(name):
+        return _files_in(place, Path(), name)
+    if place.exists() or not glob.has_magic(name):
         return [LogFile(name)]
-    paths = [Path(file) for file in sorted(glob.glob(name, recursive=True))]
-    matching = [path for path in paths if path.is_file()]
-    if not matching:
+    paths = sorted(map(Path, glob.glob(name, recursive=True)), key=_order)
+    # a link that leads nowhere, or a pipe, is an error where it is read
+    matching = [path for path in paths if not path.is_dir()]
+    if matching:
+        return [LogFile(str(file), _parse_folders(file)) for file in matching]
+    inside = [file for path in paths for file in _files_in(path, path, name)]
+    if not inside:
         raise FileNotFoundError(2, "no file matches the pattern", name)
-    return [LogFile(str(file), _parse_folders(file)) for file in matching]
+    return inside
+
+
+def _files_in(place: Path, named: Path, name: str) -> list[LogFile]:
+    """Find the files in a folder; ``named`` is the part of its path that names columns.
+
+    Raises an ArgumentError, which calls the folder ``name``, where it has none.
+    """
+    files = [file for file in sorted(place.rglob("*"), key=_order) if not file.is_dir()]
+    if not files:
+        raise ArgumentError(
+            "path",
+            f"must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none",
+        )
+    ways = [file.relative_to(place) for file in files]
+    found = [
+        LogFile(str(place / way), _parse_folders(named / way))
+        for way in ways
+        if _is_data_file(way)
+    ]
+    return found or [LogFile(str(place))]
+
+
+def _order(path: Path) -> list[list[tuple[int, str]]]:
+    """Return a key that sorts paths by their names, and numbers in them by size."""
+    return [
+        [
+            (int(part), part) if part.isdecimal() else (-1, part)
+            for part in re.split(r"(\d+)", step)
+        ]
+        for step in path.parts
+    ]
 
 
 def _is_data_file(path: Path) -> bool:
@@ -240,10 +293,10 @@ def _is_data_file(path: Path) -> bool:
 
 
 def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
-    """Return the columns and values that folders name, as Hive does."""
+    """Return the labels and texts that folders name, as Hive writes them."""
     steps = (step.partition("=") for step in path.parts[:-1])
     return tuple(
-        (label, value) for label, equals, value in steps if equals and label in COLUMNS
+        (unquote(label), unquote(text)) for label, equals, text in steps if equals
     )
 
 

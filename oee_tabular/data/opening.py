@@ -14,16 +14,31 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _parallel
-from oee_tabular.data.counting import LARGEST, FileCounts, Limits, Sample, count_file
-from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
+from oee_tabular.data.counting import (
+    LARGEST,
+    WAY,
+    FileCounts,
+    Limits,
+    Run,
+    Sample,
+    count_file,
+)
+from oee_tabular.data.counts import (
+    N_REASONS,
+    Recording,
+    TransitionCounts,
+    holds_counts,
+)
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.frames import is_frame
-from oee_tabular.data.rules import COLUMNS, KEY, warn_left_out
+from oee_tabular.data.joining import TIMESTEP, Folders, Row, judge, warn_of
+from oee_tabular.data.rules import COLUMNS, KEY, MOVE, warn_left_out
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.naming import name_text
 from oee_tabular.typing import Column
 
 
@@ -116,40 +131,128 @@ def open_log(
     from tqdm import tqdm
 
     files = find_log_files(path)
+    limits = limits._replace(has_others=len(files) > 1)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     is_quiet = not progress or sys.stderr is None
     shown = tqdm(results, "counting", len(files), unit="file", disable=is_quiet)
-    result = _add_files(files, shown, limits.kept)
+    result = _add_files(files, shown, limits)
     if output is not None:
         result.save(output)
     return result
 
 
 def _add_files(
-    files: Sequence[LogFile], counted: Iterable[FileCounts], kept: int
+    files: Sequence[LogFile], counted: Iterable[FileCounts], limits: Limits
 ) -> TransitionCounts:
     """Add the counts of the files in their order: their sums, recording and sample."""
     sums: list[dict[str, Column]] = []
     recording = Recording(by_episodes=False)
-    sample = Sample()
+    episodes = _Episodes(limits)
     columns: dict[str, frozenset[str]] = {}
+    folders = Folders()
     for file, counts in zip(files, counted, strict=True):
         if not columns:
             warn_left_out(file.path, counts.unknown, COLUMNS)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
+        folders.add(file, counts.known, counts.episodes)
         if counts.sums is not None:
             add_sums(sums, counts.sums)
-        recording = recording.join(counts.recording)
-        sample = sample.join(counts.sample, kept)
+        recording = recording.join(episodes.add(counts))
+    episodes.end()
     if not sums:
         raise ArgumentError(
             "path",
             f"must have at least one good row; of {len(files)} files none has, the"
             f" first of which is {files[0].path!r}",
         )
-    return _to_counts(join_sums(sums), recording, sample)
+    warn_of(episodes.notes)
+    recording = episodes.correct(recording)
+    return _to_counts(join_sums(sums), recording, episodes.sample)
+
+
+class _Episodes:
+    """Hold the sample of the files so far, and the episode that may go on in the next.
+
+    ``lengths`` are those of the episodes that are whole, their least and largest of
+    each file.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.sample = Sample()
+        self.notes: list[str] = []
+        self.lengths: list[int] = []
+        self.n_joined = 0
+        self.n_truncated = 0  # the cuts between joined parts, which are counted as ends
+        self.n_broken = 0  # joined episodes that are broken in both parts
+        self.last: Row | None = None
+        self.open: Run | None = None
+
+    def add(self, counts: FileCounts) -> Recording:
+        """Add a file; return how it was recorded, with what is seen here alone."""
+        recording = counts.recording
+        ends = counts.ends
+        if ends is None:
+            self.end()
+            self._join(counts.sample)
+            self.last = None
+            return recording
+        names = self.limits.names[0]
+        verdict = judge(
+            self.last, ends.first, show=lambda state: name_text(names, state)
+        )
+        self.notes += [verdict.note] if verdict.note else []
+        head = ends.head
+        if verdict.fault:
+            place = f"{ends.first.path!r}: {TIMESTEP}"
+            if not self.limits.drop:
+                raise ArgumentError(place, verdict.fault + WAY)
+            words = str(ArgumentError(place, verdict.fault))
+            recording = recording._replace(
+                broken=recording.broken + (not head.is_broken),
+                reasons=(words, *recording.reasons)[:N_REASONS],
+            )
+            head = head._replace(is_broken=True)
+        if verdict.is_one and self.open is not None:
+            self.n_joined += 1
+            self.n_truncated += "truncated" not in counts.known
+            self.n_broken += self.open.is_broken and head.is_broken
+            self.open = self.open.join(head, self.limits.kept)
+        else:
+            self.end()
+            self.open = head
+        if not ends.is_single:
+            self.end()
+            self.lengths += ends.others
+            self.open = ends.tail
+        self._join(counts.sample)
+        self.last = ends.last
+        return recording
+
+    def end(self) -> None:
+        """Add the open episode, which does not go on."""
+        if self.open is not None:
+            self.lengths.append(self.open.n)
+            self._join(self.open.sample(self.limits.kept))
+        self.open = None
+
+    def _join(self, sample: Sample) -> None:
+        """Add a sample to that of the files before."""
+        self.sample = self.sample.join(sample, self.limits.kept)
+
+    def correct(self, recording: Recording) -> Recording:
+        """Return the sum of the files' recordings with joined episodes as one each."""
+        if not self.n_joined:
+            return recording
+        return recording._replace(
+            episodes=recording.episodes - self.n_joined,
+            shortest=min(self.lengths),
+            longest=max(self.lengths),
+            truncated=recording.truncated - self.n_truncated,
+            broken=recording.broken - self.n_broken,
+        )
 
 
 def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
@@ -225,9 +328,12 @@ def read_log(
     paths = source if is_list and source else (source,)
     if all(isinstance(path, str | os.PathLike) for path in paths):
         try:
-            is_counted = not is_list and holds_counts(source)
-            kind = TransitionCounts if is_counted else Transitions
-            log = kind.load(source)
+            if not is_list and holds_counts(source):
+                log = TransitionCounts.load(source)
+            else:
+                states, actions = simulator.state_names, simulator.action_names
+                own = dict(zip(MOVE, (states, actions, states), strict=True))
+                log = Transitions._load(source, own)
         except ArgumentError as error:
             raise ArgumentError(f"{name}: {error.argument}", error.rule) from error
         except ValueError as error:
@@ -250,6 +356,8 @@ def read_log(
 
 def _suggest_transitions(value: Any) -> str:
     """Return a hint how to make a log of what is none, in words."""
+    if hasattr(value, "read"):
+        return " (an open file: give its name)"
     if isinstance(value, Mapping):
         return " (a mapping of columns: Transitions(**log))"
     if getattr(value, "ndim", 0) == 2:

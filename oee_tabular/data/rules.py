@@ -2,23 +2,34 @@
 
 A check returns the values and, where some break the rule, a ``Fault``: all such rows,
 and the words for the first. Whoever asks raises it, or leaves the rows out. A value is
-missing where it is nan or None. In tables, a text is the number that it writes.
+missing where it is nan or None, and in tables where it is one of ``MISSING_WORDS``, as
+R, SQL, Julia and pandas write it. In tables, a text is the number that it writes, or
+the name that it is; episodes are texts unless they are integers as Python writes them,
+so that "7" and "007" differ.
 """
 
 from __future__ import annotations
 
+import decimal
 import difflib
+import fractions
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
+from oee_tabular.mdp.naming import (
+    Name,
+    is_number_text,
+    numbers_of,
+    suggest_name,
+    to_plain,
+)
 from oee_tabular.typing import Array, BoolArray, Column, IntArray, SupportsArray
 
 # a column of a log as it is given: numbers, flags or names; a text is no column
@@ -40,14 +51,39 @@ KINDS = {
 COLUMNS = tuple(KINDS)
 MAX_SHOWN_COLUMNS = 10  # of those that are left out
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-FLAG_TEXTS = {
-    "true": True,
-    "1": True,
-    "1.0": True,
-    "false": False,
-    "0": False,
-    "0.0": False,
-}
+# in small letters, without blanks around; numbers that are 0 or 1 are flags as well
+FLAG_WORDS = {"true": True, "t": True, "false": False, "f": False}
+# what programs write for no value, in small letters, without blanks around
+MISSING_WORDS = frozenset(
+    {
+        "",
+        "nan",
+        "-nan",
+        "+nan",
+        "na",
+        "n/a",
+        "#n/a",
+        "#na",
+        "#n/a n/a",
+        "<na>",
+        "nat",
+        "null",
+        "none",
+        "nil",
+        "missing",
+        "undefined",
+        "\\n",
+        ".",
+        "1.#ind",
+        "-1.#ind",
+        "1.#qnan",
+        "-1.#qnan",
+    }
+)
+
+
+MUST_HAVE = "must have a value"
+NO_NAMES: Mapping[str, tuple[Name, ...] | None] = {}
 
 
 class Fault(NamedTuple):
@@ -82,6 +118,13 @@ class Fault(NamedTuple):
         shown = text if is_number else _checks.show(self.value)
         return f"{self.rule}; it is {shown}{self.hint}"
 
+    def with_text(self, text: object) -> Fault:
+        """Return the fault with its value as the file writes it, where it is known."""
+        if not isinstance(text, str) or not text or isinstance(self.value, str):
+            return self
+        rule = MUST_HAVE if is_absent(text) else self.rule
+        return self._replace(value=text, rule=rule)
+
     def to_error(self, source: str = "", *, has_count: bool = True) -> ArgumentError:
         """Return the error of the first row, of a table where ``source`` names one.
 
@@ -103,15 +146,33 @@ def as_objects(items: Sequence[Any]) -> Column:
 
 def is_missing(value: Any) -> bool:
     """Say whether a value is None or nan."""
-    return value is None or (isinstance(value, float) and math.isnan(value))
+    if isinstance(value, float | np.floating):
+        return bool(value != value)
+    return value is None or (isinstance(value, decimal.Decimal) and value.is_nan())
+
+
+def is_absent(value: Any, own: Container[Any] = ()) -> bool:
+    """Say whether a table's value is missing, or one of the words for that.
+
+    ``own``: names of the simulator, which are no such words.
+    """
+    if not isinstance(value, str):
+        return is_missing(value)
+    return value.strip().lower() in MISSING_WORDS and value not in own
 
 
 def find_fault(
-    label: str, raw: Column, rules: Mapping[str, BoolArray], *, has_names: bool = False
+    label: str,
+    raw: Column,
+    rules: Mapping[str, BoolArray],
+    *,
+    has_names: bool = False,
+    own: Container[Any] = (),
 ) -> Fault | None:
     """Return the fault of the rows that break one of the rules, or None.
 
-    ``rules``: by the words of each rule, the rows that break it.
+    ``rules``: by the words of each rule, the rows that break it. ``own``: names that
+    no word for a missing value is.
     """
     rows = np.flatnonzero(np.any(list(rules.values()), axis=0))
     if not rows.size:
@@ -119,6 +180,10 @@ def find_fault(
     first = rows[0]
     rule = next(rule for rule, is_broken in rules.items() if is_broken[first])
     value = raw[first].item() if isinstance(raw[first], np.generic) else raw[first]
+    if is_absent(value, own):
+        if isinstance(value, str) and not value.strip():
+            value = None
+        return Fault(label, rows, MUST_HAVE, value)
     return Fault(label, rows, rule, value, _suggest_value(value, label, has_names))
 
 
@@ -139,11 +204,25 @@ def to_numbers(raw: Column) -> Column:
     """Return numbers; a text becomes the number that it writes, or nan."""
     if raw.dtype.kind in "iuf":
         return raw
-    numbers = np.array([_parse_number(item) for item in raw.tolist()])
+    numbers = np.array(_for_each(_parse_number, raw.tolist()))
     # integers beyond 64 bits are objects
     if numbers.dtype.hasobject or not numbers.size:
         return numbers.astype(np.float64)
     return numbers
+
+
+def _for_each(function: Callable[[Any], Any], items: list[Any]) -> list[Any]:
+    """Return what a function makes of each item, computed once for equal texts."""
+    known: dict[str, Any] = {}
+    found = []
+    for item in items:
+        if type(item) is not str:
+            found.append(function(item))
+            continue
+        if item not in known:
+            known[item] = function(item)
+        found.append(known[item])
+    return found
 
 
 def _parse_number(item: Any) -> int | float:
@@ -154,8 +233,26 @@ def _parse_number(item: Any) -> int | float:
     item = item.item() if isinstance(item, np.generic) else item
     if isinstance(item, str):
         return _parse_text(item)
+    if isinstance(item, decimal.Decimal | fractions.Fraction):
+        is_integer = _is_finite(item) and item == int(item)
+        return int(item) if is_integer else _to_float(item)
     is_number = isinstance(item, int | float) and not isinstance(item, bool)
     return item if is_number else math.nan
+
+
+def _is_finite(item: decimal.Decimal | fractions.Fraction) -> bool:
+    """Say whether a number is finite, and small enough to be looked at as an int."""
+    if isinstance(item, decimal.Decimal):
+        return item.is_finite() and item.adjusted() < 25
+    return True
+
+
+def _to_float(item: decimal.Decimal | fractions.Fraction) -> float:
+    """Return a number as a float; nan where none stands for it."""
+    try:
+        return float(item)
+    except (ValueError, OverflowError):  # a signaling nan; a large fraction
+        return math.nan
 
 
 def _parse_text(text: str) -> int | float:
@@ -163,7 +260,8 @@ def _parse_text(text: str) -> int | float:
     if "_" in text:  # which Python's own literals may have
         return math.nan
     try:
-        return int(text) if text.isdecimal() else float(text)
+        is_integer = text.strip().lstrip("+-").isdecimal()
+        return int(text) if is_integer else float(text)
     except ValueError:
         return math.nan
 
@@ -193,38 +291,116 @@ def check_array(value: object, label: str) -> Column:
     return values
 
 
-def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]:
+def check_table(
+    columns: Mapping[str, Column],
+    source: str,
+    *,
+    names: Mapping[str, tuple[Name, ...] | None] = NO_NAMES,
+    find_text: Callable[[str, int], Any] | None = None,
+) -> dict[str, Column]:
     """Return the values of a table's columns; names and episodes may be texts.
 
     Raises an ArgumentError for the first fault.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray
+        The raw columns.
+    source : str
+        What errors call the table.
+    names : mapping of str to tuple, optional
+        By the label of a column, the names that the simulator has, which are no words
+        for a missing value. They stay in their columns.
+    find_text : callable, optional
+        Returns the text of a field by its label and row, as the file writes it.
     """
+    headers = find_headers(columns, list(columns))
+    if headers.size:
+        row = int(headers[0])
+        raise ArgumentError(f"{source}: row {row}", HEADER_RULE)
     values = {}
     for label, raw in columns.items():
-        names = () if label in MOVE else None
-        values[label], fault = check_column(raw, label, names=names)
+        own = numbers_of(names.get(label) or ())
+        called = () if label in MOVE else None
+        values[label], fault = check_column(raw, label, names=called, own=own)
         if fault is not None:
+            if find_text is not None:
+                fault = fault.with_text(find_text(label, int(fault.rows[0])))
             raise fault.to_error(source)
+    _require_one_kind(values, source)
     return values
 
 
+HEADER_RULE = (
+    "must hold the values of a transition; it holds the labels of the columns again"
+    " (of files that were joined by hand: leave that line out, or give the files as a"
+    " list)"
+)
+
+
+def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
+    """Return the rows of raw columns that hold labels of the columns."""
+    none = np.zeros(0, dtype=np.int64)
+    if not columns or not all(column.dtype.hasobject for column in columns.values()):
+        return none
+    words = set(_plain(labels))
+
+    def is_label(item: Any) -> bool:
+        """Say whether a value is a label."""
+        return isinstance(item, str) and _plain([item[:100]])[0] in words
+
+    first, *others = columns.values()
+    rows = np.flatnonzero(np.array(_for_each(is_label, first.tolist()), dtype=np.bool_))
+    for column in others:
+        rows = np.array([row for row in rows if is_label(column[row])], dtype=np.int64)
+    return rows
+
+
+def _require_one_kind(values: Mapping[str, Column], source: str) -> None:
+    """Raise an ArgumentError where one of state and next_state alone holds names."""
+    if not {"state", "next_state"} <= set(values):
+        return
+    named = [
+        label
+        for label in ("state", "next_state")
+        if values[label].dtype.hasobject and len(values[label])
+    ]
+    if len(named) != 1:
+        return
+    other = "next_state" if named == ["state"] else "state"
+    raise ArgumentError(
+        f"{source}: {named[0]}[0]",
+        f"must be a number, as those of {other} are; it is"
+        f" {_checks.show(values[named[0]][0])} (write the states of both columns as"
+        " names, or those of both as numbers)",
+    )
+
+
 def check_column(
-    raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
+    raw: Column,
+    label: str,
+    *,
+    high: int = 2**63,
+    names: tuple[Name, ...] | None = None,
+    own: Container[Any] = (),
 ) -> tuple[Column, Fault | None]:
     """Return the values of a column by its label, and its fault or None.
 
     Labels that a log does not know are numbers. ``high``: integers are below it.
     ``names``: those that may stand in place of numbers, which they become; empty: any,
-    which stay, as the texts of episodes do; None: none.
+    which stay; None: none. ``own``: names that no word for a missing value is.
     """
     kind = KINDS.get(label, "numbers")
-    if raw.dtype.kind in "Mm":  # dates are no numbers
-        raw = raw.astype(str)
+    if raw.dtype.kind in "MmUST":  # dates are no numbers and no names
+        names = None if raw.dtype.kind in "Mm" else names
+        raw = raw.astype(str).astype(object)
+    if label == "episode":
+        return _check_episodes(raw)
     # truth values are texts, as in CSV
     if kind != "booleans" and raw.dtype.kind in "bO":
         raw = as_objects([_flag_as_text(item) for item in raw.tolist()])
-    names = () if label == "episode" else names
-    if names is not None and _holds_names(raw):
-        return _match_names(raw, label, names)
+    if names is not None and raw.dtype.hasobject:
+        return _check_names(raw, label, high, names, own)
     if kind == "integers":
         return _check_integers(raw, label, high)
     if kind == "booleans":
@@ -237,13 +413,60 @@ def _flag_as_text(item: Any) -> Any:
     return str(item) if isinstance(item, bool | np.bool_) else item
 
 
-def _holds_names(raw: Column) -> bool:
-    """Say whether the first value of a column that is not missing is a name."""
+def _check_episodes(raw: Column) -> tuple[Column, Fault | None]:
+    """Check the ids of episodes: integers, or texts as they are written.
+
+    A text is a number only where that is how Python writes it: "7", not "007" or "7.0".
+    The same texts are the same episode, and others are others. A number with a point
+    that is no integer is refused, as it is where columns are mistaken.
+    """
     if not raw.dtype.hasobject:
-        return False
-    first = next((item for item in raw.tolist() if not is_missing(item)), None)
-    is_text_name = isinstance(first, str) and not is_number_text(first)
-    return isinstance(first, tuple) or is_text_name
+        return _check_integers(
+            raw.astype(np.int64) if raw.dtype.kind == "b" else raw, "episode", 2**63
+        )
+    items = raw.tolist()
+    found = _for_each(parse_episode, items)
+    bad = np.array([item is None for item in found], dtype=np.bool_)
+    rule = {"must be an integer": bad}
+    fault = find_fault("episode", raw, rule)
+    if all(type(item) is int for item in found):
+        return np.array(found, dtype=np.int64), fault
+    return as_objects([0 if item is None else item for item in found]), fault
+
+
+def parse_episode(item: Any) -> int | str | None:
+    """Return the id of an episode, an integer or a text; None for what is none."""
+    if is_absent(item):
+        return None
+    number = _parse_number(item)
+    if not isinstance(item, str):
+        is_integer = number == number and number == math.floor(number)
+        is_id = is_integer and -(2**63) <= number < 2**63
+        return int(number) if is_id else None
+    text = item.strip()
+    if isinstance(number, int) and -(2**63) <= number < 2**63 and str(number) == text:
+        return number
+    if "." in text and number % 1 > 0:
+        return None
+    return text
+
+
+def settle_episodes(episodes: Column) -> Column:
+    """Return a whole log's ids of episodes, all integers or all texts.
+
+    Texts become the integers that they write where these differ as the texts do.
+    """
+    if not episodes.dtype.hasobject:
+        return episodes
+    texts = [str(item) for item in episodes.tolist()]
+    number: dict[str, int | float] = {text: _parse_text(text) for text in set(texts)}
+    numbers = set(number.values())
+    is_integers = all(
+        n == n and abs(n) < 2.0**53 and n == math.floor(n) for n in numbers
+    )
+    if is_integers and len(numbers) == len(number):
+        return np.array([int(number[text]) for text in texts], dtype=np.int64)
+    return as_objects(texts)
 
 
 def _check_integers(
@@ -256,7 +479,7 @@ def _check_integers(
     numbers = to_numbers(raw)
     odd = np.zeros(len(numbers), dtype=np.bool_)
     if numbers.dtype.kind == "f":
-        odd = ~((np.abs(numbers) <= 2.0**53) & (numbers == np.floor(numbers)))
+        odd = ~((np.abs(numbers) < 2.0**53) & (numbers == np.floor(numbers)))
     is_low = numbers < low
     is_high = numbers >= high
     limit = f"must be in {low}..{high - 1}"
@@ -279,10 +502,16 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     if is_good.all():
         return numbers, None
     if label == "reward":
-        is_absent = [is_missing(value) or value == "nan" for value in raw.tolist()]
-        is_good |= np.array(is_absent)
+        is_good |= _find_absent(raw)
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
     return numbers, find_fault(label, raw, {rule: ~is_good})
+
+
+def _find_absent(raw: Column) -> BoolArray:
+    """Say of each value whether it is missing."""
+    if raw.dtype.kind == "f":
+        return np.isnan(raw)
+    return np.array(_for_each(is_absent, raw.tolist()), dtype=np.bool_)
 
 
 def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
@@ -293,30 +522,94 @@ def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
         flags = raw == 1
         bad = (raw != 0) & (raw != 1)
     else:
-        known = [FLAG_TEXTS.get(str(item).strip().lower()) for item in raw.tolist()]
-        flags = np.array([flag is True for flag in known])
-        bad = np.array([flag is None for flag in known])
+        known = _for_each(parse_flag, raw.tolist())
+        flags = np.array([flag is True for flag in known], dtype=np.bool_)
+        bad = np.array([flag is None for flag in known], dtype=np.bool_)
     return flags, find_fault(label, raw, {"must be a boolean (or 0 or 1)": bad})
 
 
+def parse_flag(item: Any) -> bool | None:
+    """Return the truth value that an item is or writes, or None."""
+    if isinstance(item, bool | np.bool_):
+        return bool(item)
+    if isinstance(item, str) and item.strip().lower() in FLAG_WORDS:
+        return FLAG_WORDS[item.strip().lower()]
+    number = _parse_number(item)
+    return bool(number) if number in (0, 1) else None
+
+
+def _check_names(
+    raw: Column,
+    label: str,
+    high: int,
+    names: tuple[Name, ...],
+    own: Container[Any],
+) -> tuple[Column, Fault | None]:
+    """Check a column of objects, which are names or numbers, but not both.
+
+    All values tell which they are. ``names`` and ``own`` are those of
+    ``check_column``.
+    """
+    known = numbers_of(names) if names else own
+    raw = as_objects(_for_each(_plain_name, raw.tolist()))
+    is_none = np.array(
+        _for_each(lambda item: is_absent(item, known), raw.tolist()), dtype=np.bool_
+    )
+    is_named = np.array(_for_each(_is_no_number, raw.tolist()), dtype=np.bool_)
+    is_named &= ~is_none
+    n_named = int(is_named.sum())
+    if n_named == 0:
+        return _check_integers(raw, label, high)
+    if names:
+        return _match_names(raw, label, names, is_none)
+    n = len(raw) - int(is_none.sum())
+    if 2 * n_named > n:
+        rules = {
+            MUST_HAVE: is_none,
+            "must be a name, as most of its column are": ~(is_named | is_none),
+        }
+        return raw, find_fault(label, raw, rules, has_names=True, own=own)
+    values, fault = _check_integers(raw, label, high)
+    if fault is not None and isinstance(fault.value, str) and not fault.hint:
+        most = f" ({n - n_named} of the column's {n} values are numbers)"
+        fault = fault._replace(hint=most if n > n_named else "")
+    return values, fault
+
+
+def _plain_name(item: Any) -> Any:
+    """Return a text or a tuple as a name has it, anything else as it is."""
+    return to_plain(item) if isinstance(item, str | tuple) else item
+
+
+def _is_no_number(item: Any) -> bool:
+    """Say whether an item is a name: a tuple, or a text that writes no number."""
+    if isinstance(item, tuple):
+        return True
+    return isinstance(item, str) and not is_number_text(item)
+
+
 def _match_names(
-    raw: Column, label: str, names: tuple[Name, ...]
+    raw: Column, label: str, names: tuple[Name, ...], missing: BoolArray
 ) -> tuple[Column, Fault | None]:
     """Return names as their numbers; numbers as texts are none of them."""
-    missing = np.array([is_missing(item) for item in raw.tolist()], dtype=np.bool_)
-    if not names:
-        return raw, find_fault(label, raw, {"must have a value": missing})
     known = numbers_of(names)
-    found = [known.get(str(item), -1) for item in raw.tolist()]
+    found = _for_each(lambda item: known.get(str(item), -1), raw.tolist())
     numbers = np.array(found, dtype=np.int64)
     rules = {
-        "must have a value": missing,
+        MUST_HAVE: missing,
         "must be one of the simulator's names": numbers < 0,
     }
-    fault = find_fault(label, raw, rules, has_names=True)
-    if fault is not None and not is_missing(fault.value):
+    fault = find_fault(label, raw, rules, has_names=True, own=known)
+    if fault is not None and not is_absent(fault.value, known):
         fault = fault._replace(hint=suggest_name(fault.value, names))
     return np.maximum(numbers, 0), fault
+
+
+# how ids that restart in each file become unique
+UNIQUE = (
+    " (where ids restart in each of the files that were joined, write the file's name"
+    " before them: 'run1-0', 'run2-0'; files that are given as a list need nothing)"
+)
 
 
 def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
@@ -331,7 +624,7 @@ def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
     name = names[k].item() if isinstance(names[k], np.generic) else names[k]
     return int(rows[k]), (
         f"must keep the rows of an episode together; {_checks.show(name)} begins again"
-        f" in row {rows[k]}"
+        f" in row {rows[k]}{UNIQUE}"
     )
 
 

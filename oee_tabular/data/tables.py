@@ -2,10 +2,13 @@
 
 A piece has some thousand rows, in the order of the file. pandas reads CSV, in half of
 the time of DuckDB's reader (10^6 rows of 6 columns: 0.17 s of CPU, 0.29 s), and Python
-what is small. DuckDB reads parquet in one thread, so that the same file gives the same
-bits; it may open that file alone and loads no extension. Parquet of our own has a
-digest of all its other bytes, which no page of parquet has, in its metadata.
-``rules.py`` says which values are those of a log.
+what is small or odd. Both give the same values and errors: pandas is given only lines
+of which it makes what Python makes, and a field of a log spans no lines.
+
+DuckDB reads parquet in one thread, so that the same file gives the same bits; it may
+open that file alone and loads no extension. Parquet of our own has a digest of all its
+other bytes, which no page of parquet has, in its metadata. ``rules.py`` says which
+values are those of a log.
 """
 
 from __future__ import annotations
@@ -14,23 +17,37 @@ import csv
 import errno
 import gzip
 import hashlib
+import io
 import itertools
 import os
 import re
+import unicodedata
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular.data.rules import KEY, MOVE
+from oee_tabular.data.rules import (
+    HEADER_RULE,
+    KEY,
+    KINDS,
+    MISSING_WORDS,
+    MOVE,
+    as_objects,
+    check_column,
+    find_headers,
+    is_absent,
+    parse_episode,
+    parse_flag,
+)
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import is_number_text
+from oee_tabular.mdp.naming import is_number_text, to_plain
 from oee_tabular.typing import Column, IntArray
 
 # rows of a piece
@@ -39,8 +56,13 @@ N_CSV_ROWS = 2**17
 # The size of a CSV file that Python reads in the time in which pandas is imported.
 MAX_SMALL_BYTES = 2**21
 MAX_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
+MAX_LINE_CHARACTERS = 2**24  # of a CSV file, which is read no further
+BLOCK_BYTES = 2**20
+WINDOW_BYTES = 2**16  # half of csv's longest field
 # bytes that tell nothing of the number of fields
-OTHER_BYTES = bytes(set(range(256)) - set(b',\n"\0'))
+OTHER_BYTES = bytes(set(range(256)) - set(b',\n\r"\0'))
+NULL_FOLDER = "__HIVE_DEFAULT_PARTITION__"  # of a value that is missing, as Hive has it
+PARQUET = "read_parquet($path, hive_partitioning = false, union_by_name = false)"
 DIGEST_KEY = b"oee_tabular_digest"
 DIGEST_MARK = b"oee_tabular_sha256:"
 EMPTY_DIGEST = b"0" * 64
@@ -63,8 +85,9 @@ class LogFile(NamedTuple):
 class Piece(NamedTuple):
     """Hold adjacent rows: raw values by label, and the rows' numbers in the file.
 
-    ``lost``: the lines of a CSV file that have another number of fields than its
-    header, by the number of the row: the place and the broken rule in words.
+    ``lost``: the lines of a CSV file that hold no transition, as they have another
+    number of fields than its header, by the number of the row: the place and the broken
+    rule in words.
     """
 
     columns: dict[str, Column]
@@ -72,16 +95,23 @@ class Piece(NamedTuple):
     lost: Mapping[int, tuple[str, str]]
 
 
+def no_text(label: str, row: int) -> Any:
+    """Return None, the text of a field in a file that holds values, not texts."""
+    return None
+
+
 @dataclass
 class Table:
     """Hold a log's rows: all ``labels``, and the ``pieces`` of ``known`` columns.
 
-    ``known`` are the labels of a log's columns.
+    ``known`` are the labels of a log's columns. ``find_text`` returns a field, by its
+    label and the number of its row, as the file writes it, or None.
     """
 
     labels: list[str]
     known: list[str]
     pieces: Iterable[Piece]
+    find_text: Callable[[str, int], Any] = no_text
 
 
 def open_table(file: LogFile, form: Any) -> Table:
@@ -101,10 +131,7 @@ def open_table(file: LogFile, form: Any) -> Table:
             " those that a log has)",
         )
     _require_distinct_labels(file.path, labels, form)
-    fixed: dict[str, Any] = dict(file.fixed)
-    for label, value in file.fixed:
-        if is_number_text(value):
-            fixed[label] = float(value)
+    fixed = dict(file.fixed)
     every = list(dict.fromkeys([*labels, *fixed]))
     form.require(every, file.path)
     known = [label for label in every if form.is_known(label)]
@@ -114,14 +141,93 @@ def open_table(file: LogFile, form: Any) -> Table:
     def pieces() -> Iterator[Piece]:
         """Yield the pieces of the file with the columns that its folders name."""
         for piece in read(file.path, labels, own):
-            folders = {
-                label: np.full(len(piece.rows), fixed[label])
-                for label in known
-                if label in fixed
-            }
-            yield piece._replace(columns=folders | piece.columns)
+            yield add_folders(file, form, _lose_headers(file.path, piece, labels))
 
-    return Table(labels, known, pieces())
+    def find_text(label: str, row: int) -> Any:
+        """Return a field as a CSV file writes it."""
+        if is_parquet or label not in labels:
+            return None
+        fields = _find_line(_files.local(file.path), row)[1]
+        k = labels.index(label)
+        return fields[k] if k < len(fields) else None
+
+    return Table(labels, known, pieces(), find_text)
+
+
+def add_folders(file: LogFile, form: Any, piece: Piece) -> Piece:
+    """Return a piece with the columns that the folders of its file name.
+
+    Raises an ArgumentError where the file's own column of that name says otherwise.
+    """
+    columns = {}
+    for label, text in file.fixed:
+        if not form.is_known(label):
+            continue
+        value = _parse_folder(label, text)
+        if label not in piece.columns:
+            columns[label] = np.full(len(piece.rows), value)
+            if isinstance(value, str | None):
+                columns[label] = as_objects([value] * len(piece.rows))
+            continue
+        row = _find_other(label, piece.columns[label], text)
+        if row is not None:
+            raise ArgumentError(
+                f"{file.path!r}: {label}[{piece.rows[row]}]",
+                f"must be what the folder '{label}={text}' says; it is"
+                f" {_checks.show(piece.columns[label][row])} (rename the folder, or"
+                " give the file itself)",
+            )
+    return piece._replace(columns=columns | piece.columns)
+
+
+def _parse_folder(label: str, text: str) -> Any:
+    """Return the value that a folder's name gives to a column."""
+    if text == NULL_FOLDER:
+        return None
+    kind = KINDS.get(label, "numbers")
+    if kind == "booleans":
+        flag = parse_flag(text)
+        return text if flag is None else flag
+    if label == "episode":
+        episode = parse_episode(text)
+        return text if episode is None else episode
+    if not is_number_text(text) or is_absent(text):
+        return text
+    return int(text) if text.isdecimal() and int(text) < 2**63 else float(text)
+
+
+def _find_other(label: str, raw: Column, text: str) -> int | None:
+    """Return the first row of a column whose value is not that of its folder."""
+    names = () if label in MOVE else None
+    folder = as_objects([None if text == NULL_FOLDER else text])
+    values, fault = check_column(raw, label, names=names)
+    value, no_value = check_column(folder, label, names=names)
+    is_none = no_value is not None or (label == "reward" and np.isnan(value[0]))
+    if is_none:
+        is_other = np.array([not is_absent(item) for item in raw.tolist()])
+    else:
+        is_other = np.asarray(values != value[0], dtype=np.bool_)
+    if fault is not None:
+        is_other[fault.rows] = False  # which are reported as such
+    rows = np.flatnonzero(is_other)
+    return int(rows[0]) if rows.size else None
+
+
+def _lose_headers(path: str, piece: Piece, labels: list[str]) -> Piece:
+    """Return a piece without the rows that hold the header again, which are lost."""
+    found = find_headers(piece.columns, labels)
+    if not found.size:
+        return piece
+    lost = dict(piece.lost)
+    for row in piece.rows[found].tolist():
+        place = f"row {row}"
+        if not path.lower().endswith(".parquet"):
+            place += f" (line {_find_line(_files.local(path), row)[0]})"
+        lost[row] = (place, HEADER_RULE)
+    is_kept = np.ones(len(piece.rows), dtype=np.bool_)
+    is_kept[found] = False
+    columns = {label: column[is_kept] for label, column in piece.columns.items()}
+    return Piece(columns, piece.rows[is_kept], dict(sorted(lost.items())))
 
 
 def _require_distinct_labels(path: str, labels: list[str], form: Any) -> None:
@@ -146,8 +252,13 @@ def _require_distinct_labels(path: str, labels: list[str], form: Any) -> None:
 def read_labels(path: str) -> list[str]:
     """Return the labels of a table's columns; ArgumentError for another file."""
     if path.lower().endswith(".parquet"):
-        return _parquet_labels(path)
+        return _plain_labels(_parquet_labels(path))
     return _csv_header(_files.local(path))[0]
+
+
+def _plain_labels(labels: Iterable[str]) -> list[str]:
+    """Return labels with one form of each letter, é in one sign where it was in two."""
+    return [unicodedata.normalize("NFC", label) for label in labels]
 
 
 # ---- parquet
@@ -162,6 +273,7 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
     import duckdb
 
     name = os.path.abspath(_files.local(path))  # "://" cannot stand in it
+    _files.require_regular(name)
     pattern = re.sub(r"([*?\[])", r"[\1]", name)  # a name is no pattern
     settings: dict[str, Any] = {
         "threads": 1,
@@ -195,7 +307,7 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
 
 
 def _parquet_labels(path: str) -> list[str]:
-    """Return the names of the columns, without those inside of others.
+    """Return the names of the columns as they stand, without those inside of others.
 
     parquet lists a tree in depth-first order.
     """
@@ -213,7 +325,7 @@ def _parquet_labels(path: str) -> list[str]:
 def count_parquet_rows(path: str) -> int:
     """Return the number of rows of a parquet file."""
     with open_duckdb(path) as run:
-        return int(run("SELECT count(*) FROM read_parquet($path)").fetchone()[0])
+        return int(run(f"SELECT count(*) FROM {PARQUET}").fetchone()[0])
 
 
 def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
@@ -233,7 +345,7 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
     for label in others:
         parts += [f"{how}({label}) AS {label}_{how}" for how in ("min", "max", "count")]
     selected = ", ".join(parts)
-    query = f"SELECT {selected} FROM read_parquet($path) GROUP BY {', '.join(key)}"
+    query = f"SELECT {selected} FROM {PARQUET} GROUP BY {', '.join(key)}"
     with open_duckdb(path) as run:
         try:
             groups = run(query).fetchnumpy()
@@ -244,19 +356,23 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
 def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
     """Yield the pieces of a parquet file."""
-    columns = ", ".join('"' + label.replace('"', '""') + '"' for label in chosen)
-    source = (
-        "read_parquet($path, file_row_number = true, hive_partitioning = false,"
-        " union_by_name = false)"
-    )
+    stored = _parquet_labels(path)
+    columns = ", ".join(quote_label(stored[labels.index(label)]) for label in chosen)
+    source = PARQUET.replace(")", ", file_row_number = true)")
+    which = "WHERE file_row_number >= {start} AND file_row_number < {stop}"
+    if any(label.lower() == "file_row_number" for label in stored):
+        # DuckDB's own column cannot stand beside it; this way reads rows twice
+        source = PARQUET
+        which = "LIMIT {size} OFFSET {start}"
     n_rows = count_parquet_rows(path)
     with open_duckdb(path) as run:
         for start in range(0, n_rows, N_PARQUET_ROWS):
             stop = min(start + N_PARQUET_ROWS, n_rows)
-            which = f"file_row_number >= {start} AND file_row_number < {stop}"
-            piece = run(f"SELECT {columns} FROM {source} WHERE {which}").fetchnumpy()
-            values = {label: _fill_missing(column) for label, column in piece.items()}
-            yield Piece(values, np.arange(start, stop), {})
+            some = which.format(start=start, stop=stop, size=stop - start)
+            found = run(f"SELECT {columns} FROM {source} {some}").fetchnumpy()
+            values = [_fill_missing(column) for column in found.values()]
+            piece = dict(zip(chosen, values, strict=True))
+            yield Piece(piece, np.arange(start, stop), {})
 
 
 def _fill_missing(column: Any) -> Column:
@@ -317,7 +433,7 @@ def _read_digest(path: str) -> tuple[bytes, bytes, int]:
     It is SHA-256 of the file with zeros where the digest stands. Of other programs'
     files both are empty.
     """
-    with open(path, "rb") as handle:
+    with _files.open_regular(path) as handle:
         n_before = max(os.fstat(handle.fileno()).st_size - TAIL_BYTES, 0)
         handle.seek(n_before)
         start, mark, rest = handle.read().rpartition(DIGEST_MARK)
@@ -336,15 +452,25 @@ def quote_text(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
 
 
+def quote_label(label: str) -> str:
+    """Return the name of a column as SQL has it."""
+    return '"' + label.replace('"', '""') + '"'
+
+
 # ---- CSV
 
 
-def _open_csv(path: str, encoding: str | None = None) -> Any:
+@contextmanager
+def _open_csv(path: str, encoding: str | None = None) -> Iterator[Any]:
     """Open a file, or what is compressed in it, as bytes or as text of an encoding."""
-    opener: Any = gzip.open if path.lower().endswith(".gz") else open
-    if encoding is None:
-        return opener(path, "rb")
-    return opener(path, "rt", encoding=encoding, newline="")
+    with ExitStack() as stack:
+        handle: Any = stack.enter_context(_files.open_regular(path))
+        if path.lower().endswith(".gz"):
+            handle = stack.enter_context(gzip.GzipFile(fileobj=handle))
+        if encoding is not None:
+            handle = io.TextIOWrapper(handle, encoding=encoding, newline="")
+            stack.enter_context(handle)
+        yield handle
 
 
 @contextmanager
@@ -352,6 +478,8 @@ def _csv_errors(path: str) -> Iterator[None]:
     """Turn whatever cannot be read into an ArgumentError that names the file."""
     try:
         yield
+    except ArgumentError:
+        raise
     except UnicodeDecodeError:
         raise ArgumentError(
             f"{path!r}", "must be a CSV table with a header, in UTF-8; it is not"
@@ -370,6 +498,14 @@ def _csv_errors(path: str) -> Iterator[None]:
         ) from None
 
 
+class Line(NamedTuple):
+    """Hold the fields of a CSV line, or the rule that it breaks as a whole."""
+
+    number: int
+    fields: list[str]
+    problem: str = ""
+
+
 def _csv_header(path: str) -> tuple[list[str], list[str], str]:
     """Return the labels, the first values and the encoding of a CSV file."""
     with _csv_errors(path):
@@ -384,89 +520,243 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
         encoding = "utf-16"
     elif mark == b"\xef\xbb\xbf":
         encoding = "utf-8-sig"
-    lines = (fields for _, fields in _csv_lines(path, encoding))
-    return next(lines, []), next(lines, []), encoding
+    lines = _csv_lines(path, encoding)
+    header = next(lines, Line(1, []))
+    if header.problem:
+        raise ArgumentError(f"{path!r}: line {header.number}", header.problem)
+    return _plain_labels(header.fields), next(lines, header).fields, encoding
 
 
-def _csv_lines(path: str, encoding: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of each line that is not empty, and its fields."""
+def _csv_lines(path: str, encoding: str) -> Iterator[Line]:
+    """Yield each line that is not empty."""
+    wrong: dict[int, str] = {}
+    number = 0
     with _csv_errors(path), _open_csv(path, encoding) as handle:
-        reader = csv.reader(handle)
-        line = 1
-        for fields in reader:
-            if fields:
-                yield line, fields
-            line = reader.line_num + 1
+        reader = csv.reader(_lines_of_whole_fields(handle, wrong), strict=True)
+        try:
+            for number, fields in enumerate(reader, 1):
+                if number in wrong:
+                    yield Line(number, [], wrong.pop(number))
+                elif fields:
+                    yield Line(number, fields)
+        except csv.Error as error:
+            raise ValueError(f"of line {number + 1}, {error}") from None
+
+
+def _lines_of_whole_fields(handle: Any, wrong: dict[int, str]) -> Iterator[str]:
+    """Yield the lines of a text; those with an open quote are blank, and ``wrong``."""
+    number = 0
+    while text := handle.readline(MAX_LINE_CHARACTERS + 1):
+        number += 1
+        if len(text) > MAX_LINE_CHARACTERS:
+            raise ValueError(
+                f"line {number} has more than {MAX_LINE_CHARACTERS} characters"
+            )
+        if '"' in text and not _has_whole_fields(text):
+            wrong[number] = (
+                "must have quotes that close in its own line, before a comma or the"
+                f" line's end; it is {_checks.show(text.rstrip()[:100])} (a quote inside"
+                ' of quotes is written "", and a line break in no field)'
+            )
+            text = "\n"
+        yield text
+
+
+def _has_whole_fields(text: str) -> bool:
+    """Say whether all quotes of a line close in it, at the end of a field."""
+    try:
+        return len(list(csv.reader([text], strict=True))) == 1
+    except csv.Error:
+        return False
 
 
 def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
     """Yield the values that pandas makes of the fields; names stay texts.
 
-    Of a small or an odd file they are the fields, read by Python.
+    Of a small file, and from an odd line on, they are the fields, read by Python.
     """
     _, first, encoding = _csv_header(path)
-    if os.path.getsize(path) < MAX_SMALL_BYTES or _has_odd_lines(
-        path, len(labels), encoding
-    ):
-        yield from _read_lines(path, labels, chosen, encoding)
-        return
-    places = {label: labels.index(label) for label in chosen}
-    names = {places[label] for label in (*MOVE, "episode") if label in places}
-    texts = {
-        k: str
-        for k, value in enumerate(first)
-        if k in names and not is_number_text(value or "0")
-    }
-    options = {
-        "names": range(len(labels)),
-        "header": 0,
-        "dtype": texts,
-        "encoding": encoding,
-        "chunksize": N_CSV_ROWS,
-        "keep_default_na": False,
-        "na_values": [""],
-    }
+    n_read = 0
+    if not _is_small(path):
+        with _csv_errors(path), _open_csv(path, encoding) as text:
+            is_plain = encoding != "utf-16"
+            blocks = _Blocks(text.buffer if is_plain else _Recoded(text), len(labels))
+            if encoding == "utf-8-sig":
+                text.buffer.read(3)
+            for piece in _read_blocks(blocks, labels, chosen, first):
+                n_read += len(piece.rows)
+                yield piece
+        if not blocks.is_odd:
+            return
+    yield from _read_lines(path, labels, chosen, encoding, n_read)
+
+
+def _is_small(path: str) -> bool:
+    """Say whether a file, unpacked, is as small as Python reads quickly."""
+    if not path.lower().endswith(".gz"):
+        return os.path.getsize(path) < MAX_SMALL_BYTES
     with _csv_errors(path), _open_csv(path) as handle:
-        for frame in _call_pandas(handle, **options):
-            series = {label: frame[k] for label, k in places.items()}
-            columns = {
-                label: one.to_numpy(object if one.dtype == "str" else None)
-                for label, one in series.items()
-            }
-            yield Piece(columns, frame.index.to_numpy(), {})
+        return len(handle.read(MAX_SMALL_BYTES)) < MAX_SMALL_BYTES
 
 
-def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
-    """Say whether a line has another number of fields than n.
+class _Recoded:
+    """Read a text as bytes in UTF-8."""
+
+    def __init__(self, text: Any) -> None:
+        self.text = text
+
+    def read(self, size: int) -> bytes:
+        """Return about so many bytes."""
+        data: bytes = self.text.read(size).encode()
+        return data
+
+    def readline(self, size: int) -> bytes:
+        """Return the rest of the line, of at most so many characters."""
+        data: bytes = self.text.readline(size).encode()
+        return data
+
+
+class _Blocks:
+    """Read whole lines of n fields each for pandas, which are over at an odd one.
+
+    A line is odd where pandas might make something else of it than Python does: by its
+    number of fields, a quote that spans lines, or a null character. ``is_odd`` says
+    whether there was one.
+    """
+
+    mode = "r"  # pandas takes bytes as they are, without a text wrapper
+
+    def __init__(self, handle: Any, n: int) -> None:
+        self.handle = handle
+        self.n = n
+        self.is_odd = False
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(self.read, b"")
+
+    def read(self, size: int = -1) -> bytes:
+        """Return the next block of lines; empty at the end."""
+        if self.is_odd:
+            return b""
+        block: bytes = self.handle.read(BLOCK_BYTES)
+        if block and not block.endswith(b"\n"):
+            rest: bytes = self.handle.readline(MAX_LINE_CHARACTERS)
+            # a line that is not whole here is Python's
+            self.is_odd = len(rest) == MAX_LINE_CHARACTERS
+            block += rest
+        self.is_odd |= bool(block) and not _is_regular(block, self.n)
+        return b"" if self.is_odd else block
+
+
+def _is_regular(block: bytes, n: int) -> bool:
+    """Say whether each line has n fields, none of which spans lines.
 
     It counts commas, and reads the fields only where that does not tell.
     """
-    line = b"," * (n - 1) + b"\n"
-    with _csv_errors(path), _open_csv(path) as handle:
-        while block := handle.read(2**20) + handle.readline():
-            whole = block if block.endswith(b"\n") else block + b"\n"
-            marks = whole.translate(None, OTHER_BYTES)
-            if marks != line * (len(marks) // len(line)):
-                return any(len(fields) != n for _, fields in _csv_lines(path, encoding))
-    return False
+    if not block.isascii():
+        block.decode()  # an error where it is no UTF-8
+    for start in range(0, len(block) - WINDOW_BYTES, WINDOW_BYTES):
+        if block.find(b"\n", start, start + WINDOW_BYTES) < 0:
+            return False  # a line that Python may refuse
+    whole = block if block.endswith(b"\n") else block + b"\n"
+    marks = whole.translate(None, OTHER_BYTES)
+    for end in (b"\n", b"\r\n"):
+        line = b"," * (n - 1) + end
+        if marks == line * (len(marks) // len(line)):
+            return True
+    if b"\0" in block:
+        return False
+    reader = csv.reader(io.StringIO(block.decode(), newline=""), strict=True)
+    try:
+        for number, fields in enumerate(reader, 1):
+            if len(fields) not in (0, n) or reader.line_num != number:
+                return False
+    except csv.Error:
+        return False
+    return True
+
+
+def _read_blocks(
+    blocks: _Blocks, labels: list[str], chosen: list[str], first: list[str]
+) -> Iterator[Piece]:
+    """Yield what pandas makes of blocks of lines.
+
+    It ends where a column looks like flags that is none, which is odd.
+    """
+    places = {label: labels.index(label) for label in chosen}
+    kinds = {label: KINDS.get(label, "numbers") for label in chosen}
+    # pandas keeps the texts of these apart from numbers, each different one once
+    grouped = {
+        label for label in chosen if kinds[label] == "booleans" or label == "episode"
+    }
+    types: dict[int, Any] = {places[label]: "category" for label in grouped}
+    for label in MOVE:
+        k = places.get(label, len(first))
+        if k < len(first) and not is_number_text(first[k] or "0"):
+            types[k] = str
+    words = {form(word) for word in MISSING_WORDS for form in (str.lower, str.upper)}
+    words |= {"NaN", "-NaN", "Null", "None", "<Na>", "\\N"}
+    absent = {
+        k: list(words) if kinds[label] == "numbers" else [""]
+        for label, k in places.items()
+    }
+    options = {
+        "names": range(len(labels)),
+        "usecols": sorted(places.values()),
+        "header": 0,
+        "dtype": types,
+        "encoding": "utf-8",
+        "chunksize": N_CSV_ROWS,
+        "keep_default_na": False,
+        "na_values": absent,
+        "low_memory": False,
+    }
+    for frame in _call_pandas(blocks, **options):
+        columns = {}
+        for label, k in places.items():
+            if label in grouped:
+                columns[label] = _ungroup(frame[k], label)
+                continue
+            is_text = frame[k].dtype == "str"
+            columns[label] = frame[k].to_numpy(object if is_text else None)
+            if columns[label].dtype.kind == "b":
+                blocks.is_odd = True  # its texts are lost
+                return
+        yield Piece(columns, frame.index.to_numpy(), {})
+
+
+def _ungroup(series: Any, label: str) -> Column:
+    """Return a column of groups as flags or integers, or else as texts."""
+    codes = series.cat.codes.to_numpy()
+    texts = [*series.cat.categories.tolist(), None]
+    parse = parse_episode if label == "episode" else parse_flag
+    found = [parse(text) for text in texts]
+    if codes.size and codes.min() >= 0:
+        if label != "episode" and None not in found[:-1]:
+            return np.array(found[:-1], dtype=np.bool_)[codes]
+        if label == "episode" and all(type(item) is int for item in found[:-1]):
+            return np.array(found[:-1], dtype=np.int64)[codes]
+    return as_objects(texts)[codes]
 
 
 def _read_lines(
-    path: str, labels: list[str], chosen: list[str], encoding: str
+    path: str, labels: list[str], chosen: list[str], encoding: str, start: int
 ) -> Iterator[Piece]:
-    """Yield the fields of the lines as texts."""
+    """Yield the fields of the lines from row ``start`` on as texts."""
     n = len(labels)
     places = {label: labels.index(label) for label in chosen}
     lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
+    lines = itertools.islice(lines, start, None)
     while some := list(itertools.islice(lines, N_CSV_ROWS)):
-        good = [(row, fields) for row, (_, fields) in some if len(fields) == n]
+        good = [(row, line.fields) for row, line in some if len(line.fields) == n]
         lost = {
             row: (
-                f"row {row} (line {line})",
-                f"must have {n} fields, as the header has; it has {len(fields)}",
+                f"row {row} (line {line.number})",
+                line.problem
+                or f"must have {n} fields, as the header has; it has {len(line.fields)}",
             )
-            for row, (line, fields) in some
-            if len(fields) != n
+            for row, line in some
+            if len(line.fields) != n
         }
         columns = {
             label: np.array([fields[k] or None for _, fields in good], object)
@@ -475,18 +765,49 @@ def _read_lines(
         yield Piece(columns, np.array([row for row, _ in good], dtype=np.int64), lost)
 
 
+def _find_line(path: str, row: int) -> Line:
+    """Return the line of a row."""
+    lines = _csv_lines(path, _csv_header(path)[2])
+    return next(itertools.islice(lines, row + 1, None), Line(0, []))
+
+
 def csv_frame(path: str) -> Any:
     """Read a CSV file with a header as a DataFrame, its numbers to the last bit.
 
-    Raises an ArgumentError for another file.
+    Names are texts as they are written, and an empty field is missing. Raises an
+    ArgumentError for another file, and for a line that has other fields.
     """
     name = _files.local(path)
-    encoding = _csv_header(name)[2]
+    labels, _, encoding = _csv_header(name)
+    if len(labels) > MAX_COLUMNS or len(set(labels)) < len(labels):
+        raise ArgumentError(
+            f"{name!r}",
+            f"must have at most {MAX_COLUMNS} columns that differ; it has"
+            f" {_checks.show(', '.join(labels)[:100])}",
+        )
+    for row, line in enumerate(itertools.islice(_csv_lines(name, encoding), 1, None)):
+        problem = line.problem
+        if not problem and len(line.fields) != len(labels):
+            problem = (
+                f"must have {len(labels)} fields, as the header has; it has"
+                f" {len(line.fields)}"
+            )
+        if not problem and line.fields == labels:
+            problem = HEADER_RULE
+        if problem:
+            raise ArgumentError(f"{name!r}: row {row} (line {line.number})", problem)
     with _csv_errors(name), _open_csv(name) as handle:
-        return _call_pandas(handle, encoding=encoding)
+        frame = _call_pandas(
+            handle, encoding=encoding, keep_default_na=False, na_values=[""]
+        )
+    frame.columns = labels
+    texts = frame.select_dtypes(["object", "str"])
+    return frame.assign(
+        **{label: texts[label].map(to_plain, na_action="ignore") for label in texts}
+    )
 
 
-def _call_pandas(handle: IO[bytes], **options: Any) -> Any:
+def _call_pandas(handle: Any, **options: Any) -> Any:
     """Return what pandas makes of a CSV file, numbers to the last bit.
 
     Raises a ValueError where a line has more fields than the header names.

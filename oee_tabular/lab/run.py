@@ -406,7 +406,7 @@ def _name(cell: Cell) -> str:
 def _read_settings(path: Path) -> dict[str, Any]:
     """Read the settings of a results folder, or raise ValueError."""
     with contextlib.suppress(*DAMAGE):
-        settings = json.loads(path.read_bytes())
+        settings = json.loads(_files.read_text(path))
         if isinstance(settings["experiment"], str) and isinstance(
             settings["repetitions"], int
         ):

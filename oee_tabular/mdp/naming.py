@@ -173,7 +173,10 @@ def _require_name(item: object, place: str) -> None:
 def to_plain(item: object, depth: int = 0) -> Any:
     """Return a name without numpy's types, its texts composed, lists in it as tuples.
 
-    What is nested too deep stays as it is.
+    Its letters have one form, é in one sign where it was in two [1]. What is nested too
+    deep stays as it is.
+
+    [1] Unicode Standard Annex 15, form C.
     """
     if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and not item.ndim):
         item = item.item()

@@ -130,7 +130,7 @@ def plain(value: object) -> Any:
 def summary(path: Path) -> str:
     """Summarise a report.json file in a few lines."""
     try:
-        report = json.loads(path.read_text())
+        report = json.loads(_files.read_text(path))
         lines = [f"Report of {report['unit']}"]
         lines += [
             f"{key.capitalize()}: {report['facts'][key]}"
@@ -144,7 +144,7 @@ def summary(path: Path) -> str:
                 shown = _printing.interval(lower, upper)
                 ends = f"  {shown} ({row['interval_method']})"
             lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise ArgumentError(
             f"{str(path)!r}", f"must be a report that oee evaluate wrote; {error}"
         ) from None

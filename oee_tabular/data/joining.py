@@ -1,0 +1,262 @@
+"""Episodes that are cut where a file ends and go on in the next one.
+
+Writers of part files, of a folder a day and the like cut a log where they like. The
+last episode of a file and the first of the next are one where they have one id and
+nothing speaks against it: the last row there is neither terminated nor truncated, its
+next_state is the state of the first row here, and the timestep, if there is one, goes
+on. Otherwise they are two, which is told where it is a guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oee_tabular import _checks, _files
+from oee_tabular.data.tables import LogFile
+from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.typing import BoolArray, Column
+
+TIMESTEP = "timestep[0]"
+
+
+class Row(NamedTuple):
+    """Hold the first or the last row of a file, by the labels of its columns.
+
+    ``is_sound`` is False where a row next to the file's end is bad or lost.
+    """
+
+    path: str
+    values: Mapping[str, Any]
+    is_sound: bool = True
+
+
+class Verdict(NamedTuple):
+    """Hold whether two rows are of one episode, and what else is to be said.
+
+    ``note`` says what speaks against it, ``fault`` what is wrong in either case.
+    """
+
+    is_one: bool
+    note: str = ""
+    fault: str = ""
+
+
+def judge(
+    last: Row | None,
+    first: Row,
+    differs: Callable[[Any, Any], Any] = np.not_equal,
+    show: Callable[[Any], Any] = str,
+) -> Verdict:
+    """Say whether the last row of a file and the first of the next are one episode's.
+
+    ``differs`` and ``show`` compare and print states.
+    """
+    here = first.values
+    step = here.get("timestep")
+    starts = f"must be 0 (steps of an episode in order from 0); it is {step}"
+    late = Verdict(is_one=False)
+    if step is not None and step != 0 and first.is_sound:
+        fault = f"{starts} (an episode that another file begins? Give the files in the"
+        late = Verdict(is_one=False, fault=f"{fault} order in which they were written)")
+    if last is None or str(last.values["episode"]) != str(here["episode"]):
+        return late
+    there = last.values
+    over = [label for label in ("terminated", "truncated") if there.get(label)]
+    if over:
+        if late.fault:
+            reason = f"its last row in {last.path!r} is {over[0]}"
+            return late._replace(fault=f"{starts} ({reason})")
+        return late
+    if not (last.is_sound and first.is_sound):
+        return Verdict(is_one=True)
+    before = there.get("timestep")
+    against = ""
+    if np.any(differs(there["next_state"], here["state"])):
+        against = (
+            f"its next_state there, {show(there['next_state'])}, is not its state"
+            f" here, {show(here['state'])}"
+        )
+    if step is not None and before is not None and step != before + 1:
+        against = f"its timestep there is {before} and here {step}"
+        if step != 0:
+            fault = (
+                f"must be {before + 1}, where it goes on from {last.path!r}, or 0, where"
+                f" it begins; it is {step}"
+            )
+            return Verdict(is_one=False, fault=fault)
+    if against and late.fault:
+        return late._replace(fault=f"{starts} ({against}, in {last.path!r})")
+    if not against:
+        return Verdict(is_one=True)
+    note = (
+        f"episode {_checks.show(here['episode'])} ends {last.path!r} and begins"
+        f" {first.path!r}; they are two, since {against}"
+    )
+    return Verdict(is_one=False, note=note)
+
+
+def warn_of(notes: Sequence[str]) -> None:
+    """Warn of episodes that were not joined, with the first of them."""
+    if not notes:
+        return
+    more = f" ({len(notes)} such places in all)" if len(notes) > 1 else ""
+    _checks.warn(
+        f"{notes[0]}{more}; write the file's name before ids that restart in each file,"
+        " or give the files in the order in which they were written",
+        DataWarning,
+    )
+
+
+class Folders:
+    """Remember in which folders ``column=value`` the episodes of a log stand.
+
+    A writer that makes such folders keeps no order of the rows between them.
+    """
+
+    def __init__(self) -> None:
+        self.found: dict[str, tuple[tuple[str, str], ...]] = {}
+
+    def add(self, file: LogFile, known: Iterable[str], episodes: Iterable[Any]) -> None:
+        """Raise an ArgumentError where an episode stands in another folder as well.
+
+        ``known``: the labels that are a log's.
+        """
+        folder = tuple(
+            (label, text)
+            for label, text in file.fixed
+            if label in set(known) and label != "episode"
+        )
+        if not folder:
+            return
+        for episode in episodes:
+            other = self.found.setdefault(str(episode), folder)
+            if other != folder:
+                names = [
+                    "/".join(f"{label}={text}" for label, text in one)
+                    for one in (other, folder)
+                ]
+                raise ArgumentError(
+                    f"{file.path!r}: episode",
+                    "must have all rows of an episode in one folder, in their order;"
+                    f" {_checks.show(episode)} stands in {names[0]!r} and"
+                    f" {names[1]!r} (write the log without folders by"
+                    f" {folder[0][0]}, or make ids of episodes unique by file)",
+                )
+
+
+def order_hint(file: LogFile, known: Iterable[str]) -> str:
+    """Return what else may be wrong where rows of an episode do not follow each other.
+
+    Empty where the file stands in no folder that names a column.
+    """
+    labels = [label for label, _ in file.fixed if label in set(known) - {"episode"}]
+    if not labels:
+        return ""
+    return (
+        f" (folders by {labels[0]} part the rows of an episode: write the log without"
+        " them)"
+    )
+
+
+def join_logs(
+    cls: Any, found: Sequence[LogFile], parts: Iterable[dict[str, Column]]
+) -> Any:
+    """Return the log of the columns of several files, in their order.
+
+    ``cls`` is the class of the log. Files without rows are passed over, where others
+    have some.
+    """
+    logs: list[Any] = []
+    is_one: list[bool] = []
+    shifts: list[int] = []
+    notes: list[str] = []
+    folders = Folders()
+    last = None
+    for file, columns in zip(found, parts, strict=True):
+        n = len(columns["state"])
+        if not n and len(found) > 1 and (logs or file is not found[-1]):
+            continue
+        verdict = Verdict(is_one=False)
+        shift = 0
+        is_file = file.suffix in (".csv", ".parquet", ".npz")
+        if "episode" in columns and n and is_file:
+            folders.add(file, columns, np.unique(columns["episode"].astype(str)))
+            row = Row(file.path, _row(columns, 0))
+            if last is not None:
+                verdict = judge(last, row, _differs(cls))
+                notes += [verdict.note] if verdict.note else []
+            if verdict.fault:
+                raise ArgumentError(f"{file.path!r}: {TIMESTEP}", verdict.fault)
+            last = Row(file.path, _row(columns, -1))
+        else:
+            last = None
+        if verdict.is_one and "timestep" in columns:
+            shift = int(columns["timestep"][0])
+            columns["timestep"] = _move_first(columns, -shift)
+        with _files.parts_of(file.path, "a log"):
+            try:
+                logs.append(cls(**columns))
+            except ArgumentError as error:
+                hint = order_hint(file, columns) if n and "episode" in columns else ""
+                raise ArgumentError(error.argument, error.rule + hint) from None
+        is_one.append(verdict.is_one)
+        shifts.append(shift)
+    warn_of(notes)
+    if len(logs) == 1:
+        return logs[0]
+    if not any(is_one):
+        return cls.concatenate(logs)
+    return _join(cls, logs, is_one)
+
+
+def _differs(cls: Any) -> Callable[[Any, Any], Any]:
+    """Return how a log of a class compares two states, given as rows."""
+
+    def differs(following: Any, state: Any) -> Any:
+        """Say whether a next state and the state after it differ."""
+        if isinstance(following, str | tuple) or isinstance(state, str | tuple):
+            return following != state
+        return cls._differs(np.asarray(following)[None], np.asarray(state)[None])
+
+    return differs
+
+
+def _row(columns: Mapping[str, Column], k: int) -> dict[str, Any]:
+    """Return one row of columns."""
+    return {label: column[k] for label, column in columns.items()}
+
+
+def _is_first_run(columns: Mapping[str, Column]) -> BoolArray:
+    """Say of each row whether it is of the run of the first episode."""
+    is_other = np.asarray(columns["episode"] != columns["episode"][0], dtype=np.bool_)
+    return np.asarray(np.cumsum(is_other) == 0)
+
+
+def _move_first(columns: Mapping[str, Column], shift: int) -> Column:
+    """Return the timesteps with those of the first episode moved."""
+    return columns["timestep"] + shift * _is_first_run(columns)
+
+
+def _join(cls: Any, logs: Sequence[Any], is_one: Sequence[bool]) -> Any:
+    """Join logs as ``concatenate`` does, and the episodes that go on in the next."""
+    whole = cls.concatenate(logs)
+    if whole.episode is None:  # as another file has none
+        return whole
+    columns = whole.columns()
+    episode = columns["episode"].copy()
+    timestep = columns["timestep"].copy()
+    truncated = columns["truncated"].copy()
+    start = 0
+    for log, goes_on in zip(logs, is_one, strict=True):
+        if goes_on:
+            stop = start + int(_is_first_run(log.columns()).sum())
+            episode[start:stop] = episode[start - 1]
+            timestep[start:stop] += timestep[start - 1] + 1
+            truncated[start - 1] = False
+        start += len(log)
+    return cls(
+        **columns | {"episode": episode, "timestep": timestep, "truncated": truncated}
+    )
