@@ -48,9 +48,10 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
 
     Nothing is opened. ``argument`` is the name that errors begin with.
     """
-    if not isinstance(path, str | os.PathLike):
+    given: Any = path
+    if not isinstance(given, str | os.PathLike):
         hint = ""
-        if hasattr(path, "read"):
+        if hasattr(given, "read"):
             hint = " (an open file is none: give the name of a file)"
         raise ArgumentError(
             argument, f"must be a path of a file; got {type(path).__name__}{hint}"
@@ -96,12 +97,11 @@ def require_regular(path: str | os.PathLike[str]) -> None:
         return
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", path)
-    kinds = {
-        "a named pipe": stat.S_ISFIFO,
-        "a socket": stat.S_ISSOCK,
-        "a device": lambda mode: stat.S_ISCHR(mode) or stat.S_ISBLK(mode),
-    }
-    kind = next((kind for kind, is_such in kinds.items() if is_such(mode)), "none")
+    kind = "a device"
+    if stat.S_ISFIFO(mode):
+        kind = "a pipe"
+    elif stat.S_ISSOCK(mode):
+        kind = "a socket"
     raise ArgumentError(
         f"{os.fspath(path)!r}",
         f"must be a regular file; it is {kind} (write what comes out of it to a file"
@@ -430,7 +430,7 @@ def _check_npy_header(file: IO[bytes], size: int) -> int:
     shape, _, dtype = read(file, max_header_size=MAX_HEADER_BYTES)
     if dtype.hasobject:
         raise ValueError("it holds an array of objects, which would be a pickle")
-    needed = start + length + math.prod(shape) * dtype.itemsize
+    needed: int = start + length + math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or needed > size:
         raise ValueError(f"it has {size} bytes, where its header needs {needed}")
     return needed

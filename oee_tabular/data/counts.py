@@ -16,7 +16,7 @@ from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.data.rules import KEY, check_array
+from oee_tabular.data.rules import COLUMNS, KEY, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
 from oee_tabular.data.transitions import Transitions, describe_facts
 from oee_tabular.exceptions import ArgumentError
@@ -452,17 +452,56 @@ def _check_counted_rewards(columns: dict[str, Column]) -> None:
         _checks.require_finite(np.where(is_absent, 0.0, columns[name]), name)
 
 
+def _check_recording(numbers: Column, reasons: Column) -> Recording:
+    """Return the recording that the arrays of a file hold, or raise an ArgumentError.
+
+    Its words are printed: they hold no control characters.
+    """
+    n = len(Recording._fields) - 1
+    if numbers.shape != (n,) or numbers.dtype.kind not in "iu":
+        raise ArgumentError(
+            "recording",
+            f"must be {n} integers; it is {numbers.dtype} of shape {numbers.shape}",
+        )
+    values = numbers.tolist()
+    told = dict(zip(Recording._fields, values, strict=False))
+    for name, value in told.items():
+        if not 0 <= value <= 2**53:
+            raise ArgumentError(
+                f"recording's {name}", f"must be in 0..2**53; it is {value}"
+            )
+    if told["by_episodes"] > 1:
+        raise ArgumentError(
+            "recording's by_episodes", f"must be 0 or 1; it is {told['by_episodes']}"
+        )
+    for name, limit in (("shortest", "longest"), ("broken", "episodes")):
+        if told[name] > told[limit]:
+            raise ArgumentError(
+                f"recording's {name}",
+                f"must be at most {limit}, {told[limit]}; it is {told[name]}",
+            )
+    if reasons.ndim != 1 or len(reasons) > N_REASONS or reasons.dtype.kind not in "UT":
+        is_empty = reasons.shape == (0,)
+        if not is_empty:
+            raise ArgumentError(
+                "reasons",
+                f"must be at most {N_REASONS} texts; it is {reasons.dtype} of shape"
+                f" {reasons.shape}",
+            )
+    words = tuple(map(str, reasons.tolist()))
+    for k, text in enumerate(words):
+        if _checks.escape_controls(text) != text:
+            raise ArgumentError(
+                f"reasons[{k}]",
+                f"must be a text without control characters; it is {_checks.show(text)}",
+            )
+    return Recording._make([bool(values[0]), *values[1:], words])
+
+
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Make counts of the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
-    numbers = parts.pop("recording").tolist()
-    reasons = tuple(parts.pop("reasons").tolist())
-    if len(numbers) != len(Recording._fields) - 1:
-        raise ArgumentError(
-            "recording",
-            f"must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}",
-        )
-    recording = Recording._make([bool(numbers[0]), *numbers[1:], reasons])
+    recording = _check_recording(parts.pop("recording"), parts.pop("reasons"))
     sample = {
         name.removeprefix("sample_"): parts.pop(name)
         for name in list(parts)
@@ -479,5 +518,12 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
             "must hold the parts of counts alone; it has"
             f" {_checks.show(next(iter(parts)))}",
         )
+    for name in sample:
+        if name not in COLUMNS:
+            raise ArgumentError(
+                f"sample_{name}", "must be left out: a log has no such column"
+            )
     episodes = Transitions(**sample) if sample else None
+    if episodes is not None and (episodes.state_names or episodes.action_names):
+        raise ArgumentError("sample", "must be in numbers; it holds names")
     return TransitionCounts(**columns, recording=recording, sample=episodes)

@@ -22,7 +22,6 @@ from oee_tabular.data.rules import (
     as_objects,
     check_table,
     require_columns,
-    settle_episodes,
     warn_left_out,
 )
 from oee_tabular.data.tables import (
@@ -144,8 +143,9 @@ def _load_npz(form: Format, file: LogFile, name: str) -> Columns:
     columns = _read_npz(form, name)
     if not file.fixed:
         return columns
-    n = len(next(iter(columns.values())))
-    whole = add_folders(file, form, Piece(columns, np.arange(n), {})).columns
+    with _files.parts_of(name, "a log"):
+        rows = np.arange(len(columns["state"]))
+    whole = add_folders(file, form, Piece(columns, rows, {})).columns
     return columns | check_table(
         {label: column for label, column in whole.items() if label not in columns},
         repr(name),
@@ -178,8 +178,6 @@ def _load_table(
     values = check_table(
         _read_whole(file, table), repr(name), names=names, find_text=table.find_text
     )
-    if "episode" in values:
-        values["episode"] = settle_episodes(values["episode"])
     columns = form.from_table(values, name)
     unknown = [
         label

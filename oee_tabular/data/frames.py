@@ -466,11 +466,16 @@ def minari_episodes(name: str) -> list[Any]:
             folder = find_folder(name.removeprefix("minari:"))
         except ValueError as error:
             reason = f": {error}"
+    if folder.exists() and not folder.is_dir():
+        _files.require_regular(folder)
     if not folder.is_dir():
         raise FileNotFoundError(
             f"{name!r} is neither a file nor a Minari folder or id on this"
             f" machine{reason}"
         )
+    for file in folder.rglob("*"):
+        if not file.is_dir():
+            _files.require_regular(file)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -195,6 +195,7 @@ def _suggest_value(value: Any, label: str, has_names: bool) -> str:
     if label.endswith("action") and _parse_number(value) % 1 > 0:
         return " (call the column of a continuous task's commands action_0)"
     is_word = isinstance(value, str) and value.strip()[:1].isalpha()
+    is_word = is_word and not is_number_text(value)
     if label in MOVE and is_word and not has_names:
         return " (names take a simulator that has them: simulator=, --simulator)"
     return ""
@@ -327,6 +328,8 @@ def check_table(
             if find_text is not None:
                 fault = fault.with_text(find_text(label, int(fault.rows[0])))
             raise fault.to_error(source)
+        if label == "episode":
+            values[label] = settle_episodes(values[label])
     _require_one_kind(values, source)
     return values
 

@@ -554,9 +554,9 @@ def _lines_of_whole_fields(handle: Any, wrong: dict[int, str]) -> Iterator[str]:
             )
         if '"' in text and not _has_whole_fields(text):
             wrong[number] = (
-                "must have quotes that close in its own line, before a comma or the"
-                f" line's end; it is {_checks.show(text.rstrip()[:100])} (a quote inside"
-                ' of quotes is written "", and a line break in no field)'
+                "must close each quote in its own line, before a comma or the line's"
+                f" end; it is {_checks.show(text.rstrip()[:100])} (a quote inside of"
+                ' quotes is written "", and no field has a line break)'
             )
             text = "\n"
         yield text
@@ -630,14 +630,20 @@ class _Blocks:
         self.handle = handle
         self.n = n
         self.is_odd = False
+        self.block = b""
 
     def __iter__(self) -> Iterator[bytes]:
         return iter(self.read, b"")
 
     def read(self, size: int = -1) -> bytes:
         """Return the next block of lines; empty at the end."""
-        if self.is_odd:
-            return b""
+        block, self.block = self.block, b""
+        return block if block or not self.has_next() else self.read()
+
+    def has_next(self) -> bool:
+        """Read the next block, and say whether there is one that is not odd."""
+        if self.is_odd or self.block:
+            return bool(self.block)
         block: bytes = self.handle.read(BLOCK_BYTES)
         if block and not block.endswith(b"\n"):
             rest: bytes = self.handle.readline(MAX_LINE_CHARACTERS)
@@ -645,7 +651,8 @@ class _Blocks:
             self.is_odd = len(rest) == MAX_LINE_CHARACTERS
             block += rest
         self.is_odd |= bool(block) and not _is_regular(block, self.n)
-        return b"" if self.is_odd else block
+        self.block = b"" if self.is_odd else block
+        return bool(self.block)
 
 
 def _is_regular(block: bytes, n: int) -> bool:
@@ -683,26 +690,23 @@ def _read_blocks(
 
     It ends where a column looks like flags that is none, which is odd.
     """
-    places = {label: labels.index(label) for label in chosen}
-    kinds = {label: KINDS.get(label, "numbers") for label in chosen}
-    # pandas keeps the texts of these apart from numbers, each different one once
-    grouped = {
-        label for label in chosen if kinds[label] == "booleans" or label == "episode"
-    }
-    types: dict[int, Any] = {places[label]: "category" for label in grouped}
+    places = {label: str(labels.index(label)) for label in chosen}
+    types: dict[str, Any] = {}
+    if "episode" in places:
+        types[places["episode"]] = object  # "7" and "007" differ
     for label in MOVE:
-        k = places.get(label, len(first))
+        k = labels.index(label) if label in places else len(first)
         if k < len(first) and not is_number_text(first[k] or "0"):
-            types[k] = str
+            types[places[label]] = str
     words = {form(word) for word in MISSING_WORDS for form in (str.lower, str.upper)}
     words |= {"NaN", "-NaN", "Null", "None", "<Na>", "\\N"}
     absent = {
-        k: list(words) if kinds[label] == "numbers" else [""]
+        k: list(words) if KINDS.get(label, "numbers") == "numbers" else [""]
         for label, k in places.items()
     }
     options = {
-        "names": range(len(labels)),
-        "usecols": sorted(places.values()),
+        "names": [str(k) for k in range(len(labels))],
+        "usecols": list(places.values()),
         "header": 0,
         "dtype": types,
         "encoding": "utf-8",
@@ -711,32 +715,32 @@ def _read_blocks(
         "na_values": absent,
         "low_memory": False,
     }
+    if not blocks.has_next():
+        return
     for frame in _call_pandas(blocks, **options):
         columns = {}
         for label, k in places.items():
-            if label in grouped:
-                columns[label] = _ungroup(frame[k], label)
-                continue
             is_text = frame[k].dtype == "str"
-            columns[label] = frame[k].to_numpy(object if is_text else None)
-            if columns[label].dtype.kind == "b":
+            column = frame[k].to_numpy(object if is_text else None)
+            if column.dtype.kind == "b" and KINDS.get(label) != "booleans":
                 blocks.is_odd = True  # its texts are lost
                 return
+            columns[label] = column
+        if "episode" in columns:
+            columns["episode"] = _parse_runs(columns["episode"])
         yield Piece(columns, frame.index.to_numpy(), {})
 
 
-def _ungroup(series: Any, label: str) -> Column:
-    """Return a column of groups as flags or integers, or else as texts."""
-    codes = series.cat.codes.to_numpy()
-    texts = [*series.cat.categories.tolist(), None]
-    parse = parse_episode if label == "episode" else parse_flag
-    found = [parse(text) for text in texts]
-    if codes.size and codes.min() >= 0:
-        if label != "episode" and None not in found[:-1]:
-            return np.array(found[:-1], dtype=np.bool_)[codes]
-        if label == "episode" and all(type(item) is int for item in found[:-1]):
-            return np.array(found[:-1], dtype=np.int64)[codes]
-    return as_objects(texts)[codes]
+def _parse_runs(texts: Column) -> Column:
+    """Return texts as integers where all are integers, each run of equal ones once."""
+    is_first = np.ones(len(texts), dtype=np.bool_)
+    is_first[1:] = texts[1:] != texts[:-1]
+    starts = np.flatnonzero(is_first)
+    found = [parse_episode(text) for text in texts[starts].tolist()]
+    if not all(type(item) is int for item in found):
+        return texts
+    lengths = np.diff(starts, append=len(texts))
+    return np.repeat(np.array(found, dtype=np.int64), lengths)
 
 
 def _read_lines(
@@ -745,8 +749,8 @@ def _read_lines(
     """Yield the fields of the lines from row ``start`` on as texts."""
     n = len(labels)
     places = {label: labels.index(label) for label in chosen}
-    lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
-    lines = itertools.islice(lines, start, None)
+    every = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
+    lines = itertools.islice(every, start, None)
     while some := list(itertools.islice(lines, N_CSV_ROWS)):
         good = [(row, line.fields) for row, line in some if len(line.fields) == n]
         lost = {
