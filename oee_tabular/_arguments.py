@@ -22,6 +22,8 @@ def named_specs(
 ) -> dict[str, str]:
     """Read name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
 
+    A file whose name has an equals sign is a SPEC, unless it is not clear which is meant.
+
     Parameters
     ----------
     given : list of str
@@ -39,6 +41,14 @@ def named_specs(
     specs: dict[str, str] = {}
     for text in given:
         name, equals, spec = text.partition("=")
+        if equals and not known and os.path.isfile(text):
+            if os.path.isfile(spec):
+                raise ArgumentError(
+                    option,
+                    f"must be clear; {text!r} and {spec!r} are files (write"
+                    f" {name}=./{spec}, or NAME={text})",
+                )
+            name, equals, spec = text, "", ""
         if known and (not equals or name not in known):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}=VALUE?)" if near else ""

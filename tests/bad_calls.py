@@ -235,11 +235,28 @@ Problem(GRID, pd.DataFrame({"place": [0], "action": [0]}))  ->  frame must have 
 from_frame("log.csv")  ->  frame must be a data frame (...); got str (a file: Transitions.load)
 from_frame(pd.Series([1]))  ->  frame must be a data frame (pandas, polars, arrow)
 from_frame(pd.DataFrame({"s": [0], "a": [0]}))  ->  frame must have ...state; it has s, a (say
-from_frame(frame().rename(columns={"state": "State"}))  ->  frame must have ...; write state for 'State' (say
+from_frame([{"state": 0, "action": 0, "next_state": 1}])  ->  frame must be ...; got list (rows ...: pandas.DataFrame(rows))
+from_frame({"state": [0], "action": [0]})  ->  frame must be ...; got dict (columns ...: pandas.DataFrame(columns))
+from_episodes([{"state": 0, "action": 0, "next_state": 1}])  ->  episodes must be a list ... (rows ...: pandas.DataFrame(rows))
+from_frame(frame(isOver=True))  ->  frame must have columns whose meaning is clear; 'isOver' may say that the task ended
+from_frame(frame(logp=-1.0))  ->  frame must ...; 'logp' is the logarithm of a probability
+from_frame(frame(trajectory_id=0, ep=0))  ->  frame must have one column of episode; 'trajectory_id' and 'ep' may each
+from_frame(frame(), columns={"stat": "place"})  ->  columns must have keys of state, ...; got 'stat' (did you mean state?)
+from_frame(frame(), columns={"place": "state"})  ->  columns must have keys ...'place' (the other way round: {'state': 'place'})
+from_frame(frame(), columns=["state"])  ->  columns must be a mapping from a log's columns to those of the file
+from_frame(frame(), columns={"state": "stat"})  ->  columns must name columns of frame, ...'stat' (did you mean 'state'?)
+from_frame(frame(), columns={"state": None})  ->  columns must name a column for state; it is None
+from_frame(frame(), columns={"state": "next_state"})  ->  columns must name a column for next_state as well
+from_frame(frame(), columns={"state": "action", "action": "action"})  ->  columns must name each column once; 'action'
+from_frame(frame(), columns={"reward": ["state", "action"]})  ->  columns must name one column for reward
+from_frame(frame(), state="state", columns={"state": "action"})  ->  state must be the column that columns names, 'action'
+from_frame(frame(), reward="next_state", columns={"reward": None})  ->  reward must be the column that columns names, None
+Problem(HALL, HALS, columns={"state": "place"})  ->  columns must be left out for Transitions
+Problem(HALL, [[(0, 0, 1.0), (1,)]], columns={"state": "place"})  ->  columns must be left out for a list of episodes
 from_frame(pd.DataFrame())  ->  frame must have the columns ...; it has none
 from_frame(frame().rename(columns={"state": "from"}), state="form")  ->  state must be ..., from, ... (did you mean 'from'?)
 from_frame(frame(), stat="state")  ->  column_names must be of state, ... (did you mean state?)
-from_frame(frame(), state=3)  ->  state must be a column's name, or several
+from_frame(frame(), state=3)  ->  state must be the name of a column of the frame, ...; it is 3
 from_frame(frame(), reward=["state", "action"])  ->  reward must be the name of one column
 from_frame(frame(timestep=np.nan))  ->  frame: timestep[0] must have a value; it has none
 from_frame(frame(action=None))  ->  frame: action[0] must have a value; it has none
@@ -760,7 +777,7 @@ zeta(lowr=0.5)  ->  transition_ratio() got an unexpected keyword argument 'lowr'
 zeta(method=Conditional(), lower=0.5)  ->  lower must ...
 policy_value(GRID, UNIFORM, horizn=3)  ->  policy_value() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
 plan(P, nn=3)  ->  plan_data_collection() got an unexpected keyword argument 'nn'. Did you mean 'n'?
-Transitions.load("log.csv", colums={})  ->  load() got an unexpected keyword argument 'colums'. It takes path.
+Transitions.load("log.csv", colums={})  ->  load() got an unexpected keyword argument 'colums'. Did you mean 'columns'?
 Conditional(rdge=1.0)  ->  Conditional() got an unexpected keyword argument 'rdge'. Did you mean 'ridge'?
 Problem(GRID, LOG, horizn=3)  ->  Problem() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
 Transitions([0], [0], [0], rewrd=[1.0])  ->  Transitions() got an unexpected keyword argument 'rewrd'. Did you mean 'reward'?

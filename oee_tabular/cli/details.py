@@ -66,6 +66,12 @@ DETAILS: dict[str, dict[str, str]] = {
         "FOLDER, PATTERN": "Several files of one log.",
         "MINARI": "A Minari folder or id.",
     },
+    "--column": {
+        "state=pose_before": "The log's column state is the files' pose_before.",
+        "state=row,column": "Several columns to a state or an action make a tuple.",
+        "state_0=x": "One coordinate of a continuous state.",
+        "terminated=": "The files have no such column; nothing else is read as it.",
+    },
     "--history": {
         "0 to 5, or more": "This many last actions are part of the state.",
         "auto": "As many as the held-out error asks for.",

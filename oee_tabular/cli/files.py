@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,11 +14,18 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
 from oee_tabular._progress import is_terminal
-from oee_tabular.cli.inputs import describe_new, policy_of, task_of, write_array
+from oee_tabular.cli.inputs import (
+    describe_new,
+    policy_of,
+    read_columns,
+    task_of,
+    write_array,
+)
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
     ActionNoiseOption,
+    ColumnOption,
     DaskOption,
     DiscountOption,
     InitialOption,
@@ -30,6 +38,7 @@ from oee_tabular.cli.options import (
     print_result,
 )
 from oee_tabular.continuous.command import is_continuous, record_log, task_options
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
 
 MAX_STEPS = 1000  # of an episode, where nothing else limits it
@@ -121,6 +130,13 @@ def sample(
     settings = task_options(task_option, ("state", "actions"))
     log: Any
     if is_continuous(environment):
+        for option, value in (("--initial", initial), ("--discount", discount)):
+            if value is not None:
+                raise ArgumentError(
+                    option,
+                    "must be left out for a continuous task, whose log depends on"
+                    f" neither; it is {value}",
+                )
         log = record_log(
             environment,
             policy,
@@ -285,6 +301,7 @@ def counts(
             rich_help_panel=INPUT,
         ),
     ],
+    column: ColumnOption = None,
     simulator: OptionalSimulatorOption = None,
     bad_rows: Annotated[
         str,
@@ -326,6 +343,7 @@ def counts(
     _files.new_file(output, "--output", overwrite=overwrite)
     mdp = None if simulator is None else task_of(simulator).mdp
     asked: dict[str, Any] = {"bad_rows": bad_rows, "kept_moves": kept_moves}
+    asked["columns"] = read_columns(column, log)
     counted = oee.Transitions.open(
         log,
         simulator=mdp,
@@ -356,21 +374,29 @@ def info(
             rich_help_panel=INPUT,
         ),
     ],
+    column: ColumnOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Describe the contents of a file."""
-    kind, text = describe_files(file)
+    """Describe the contents of a file.
+
+    Of a log with other labels it says which of them it reads as which column.
+    """
+    kind, text = describe_files(file, read_columns(column, file))
     record = {"file": ", ".join(file), "kind": kind, "text": text.split("\n")}
     print_result(text, record, as_json)
 
 
-def describe_files(files: list[str]) -> tuple[str, str]:
+def describe_files(
+    files: list[str], columns: Mapping[str, Any] | None = None
+) -> tuple[str, str]:
     """Return in words what kind of thing a file, a data set or a log's files hold.
 
     Parameters
     ----------
     files : list of str
         One file, data set, folder or pattern, or the files of one log.
+    columns : mapping, optional
+        What the files of a log call its columns.
 
     Returns
     -------
@@ -395,11 +421,17 @@ def describe_files(files: list[str]) -> tuple[str, str]:
         part.suffix in (".csv", ".parquet", ".npz") for part in path.iterdir()
     )
     is_single = len(files) == 1 and not is_pattern and not has_parts
-    if is_single and holds_states(file):
-        states = oee.ContinuousTransitions.load(file)
-        return "continuous_transitions", _describe_states(states)
+    if is_single and holds_states(file, columns):
+        states = oee.ContinuousTransitions.load(file, columns=columns)
+        text = _describe_states(states)
+        return "continuous_transitions", text + _describe_labels(states, files, columns)
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
-        return "transitions", repr(oee.Transitions.load(files))
+        log = oee.Transitions.load(files, columns=columns)
+        return "transitions", repr(log) + _describe_labels(log, files, columns)
+    if columns:
+        raise ArgumentError(
+            "columns", f"must be left out for {file!r}, which is no table"
+        )
     arrays = _files.read_npz(file)
     kind = _files.npz_kind(arrays)
     if kind == "transitions":
@@ -412,6 +444,29 @@ def describe_files(files: list[str]) -> tuple[str, str]:
         return kind, _describe_mdp(oee.FiniteMDP.load(file), file, arrays)
     lines = [_describe_array(name, array) for name, array in arrays.items()]
     return "arrays", "\n".join(lines)
+
+
+def _describe_labels(
+    log: Any, files: list[str], columns: Mapping[str, Any] | None
+) -> str:
+    """Return a line with the labels of the first file that are not the log's own."""
+    from oee_tabular._checks import show
+    from oee_tabular.data.files import find_log_files
+    from oee_tabular.data.tables import read_labels
+
+    first = find_log_files(files)[0]
+    if first.suffix not in (".csv", ".parquet"):
+        return ""
+    labels = [*read_labels(first.path), *(label for label, _ in first.fixed)]
+    found = log.FILES.with_columns(columns).match(
+        list(dict.fromkeys(labels)), first.path
+    )
+    words = [
+        f"{column} is {', '.join(map(show, group))}"
+        for column, group in found.taken.items()
+        if group != (column,)
+    ]
+    return f"\ncolumns: {'; '.join(words)}" if words else ""
 
 
 def _describe_states(log: Any) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import oee_tabular as oee  # whose rooms are imported on use
-from oee_tabular import _files, _progress
+from oee_tabular import _checks, _files, _progress
 from oee_tabular._arguments import (
     arguments,
     literal,
@@ -56,7 +56,10 @@ def task_of(
         The FiniteMDP and how to make its expert and environment.
     """
     _progress.report_step(f"reading the simulator {spec}")
-    if is_own(spec) or samples is not None:
+    if samples is not None:
+        _checks.positive_integer(samples, "samples_per_pair")
+    is_file = Path(spec).suffix.lower() == ".npz" and Path(spec).is_file()
+    if (is_own(spec) and not is_file) or samples is not None:
         with own_modules():
             make = _maker(spec)
             made = make()
@@ -175,6 +178,56 @@ def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str,
     }
 
 
+def read_columns(given: list[str] | None, log: list[str] | None) -> dict[str, Any]:
+    """Read what ``--column`` says: a log's column and its label in the files.
+
+    Parameters
+    ----------
+    given : list of str, optional
+        The values of the option, COLUMN=LABEL.
+    log : list of str, optional
+        The files of the log, of which the first one has the labels.
+
+    Returns
+    -------
+    dict
+        The labels by column, several as a tuple, None where the label is empty.
+    """
+    columns: dict[str, Any] = {}
+    for text in given or ():
+        column, equals, label = text.partition("=")
+        if not equals or not column:
+            raise ArgumentError(
+                "--column",
+                f"must be COLUMN=LABEL, as state=pose_before; got {text!r}",
+            )
+        if column in columns:
+            raise ArgumentError("--column", f"must name {column} once; it does twice")
+        columns[column] = _split_label(column, label, log or []) if label else None
+    return columns
+
+
+def _split_label(column: str, label: str, log: list[str]) -> Any:
+    """Return a label, or several that commas part, of which the file has none whole."""
+    if "," not in label:
+        return label
+    from oee_tabular.data.files import find_log_files
+    from oee_tabular.data.tables import read_labels
+
+    parts = tuple(label.split(","))
+    first = find_log_files(log)[0]
+    known = read_labels(first.path) if first.suffix in (".csv", ".parquet") else []
+    if label not in known:
+        return parts
+    if set(parts) <= set(known):
+        raise ArgumentError(
+            "--column",
+            f"must be clear; for {column}, {first.path!r} has the column {label!r}, and"
+            f" each of {', '.join(map(repr, parts))} as well (rename one of them)",
+        )
+    return label
+
+
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
     """Read the policy that ``spec`` names, as an (S, A) array."""
     from oee_tabular.data.tables import csv_frame
@@ -188,11 +241,15 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
         return oee.uniform_policy(mdp) if spec == "uniform" else oee.optimal_policy(mdp)
     if spec == "expert":
         return check_policy(task.expert(), mdp)
-    if spec.startswith("mix:"):
+    if spec.startswith("mix:") and suffix not in (".csv", ".npy", ".npz"):
         try:
             weight = float(spec.removeprefix("mix:"))
         except ValueError:
             raise ArgumentError(name, f"must be like mix:0.5; got {spec!r}") from None
+        if not 0.0 <= weight <= 1.0:
+            raise ArgumentError(
+                name, f"must be mix:WEIGHT with a weight in [0, 1]; got {spec!r}"
+            )
         return oee.mix(
             check_policy(task.expert(), mdp), oee.uniform_policy(mdp), weight
         )
@@ -295,6 +352,7 @@ def read_problem(
     horizon: int | None,
     rewards: Any = "simulator",
     behavior: str | None = None,
+    column: list[str] | None = None,
 ) -> tuple[oee.tasks.NamedTask, oee.Problem]:
     """Read the simulator and the problem with the log's files.
 
@@ -304,7 +362,7 @@ def read_problem(
         A simulator as the command takes it.
     log : list of str
         The files of one log.
-    discount, initial, action_noise, impossible, horizon, rewards, behavior
+    discount, initial, action_noise, impossible, horizon, rewards, behavior, column
         The values of the options with these names.
 
     Returns
@@ -321,7 +379,9 @@ def read_problem(
     model = task.mdp
     epsilon = _read_impossible(impossible)
     _progress.report_step(f"reading the log {', '.join(log)}")
-    recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
+    recorded = oee.data.read_log(
+        log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
+    )
     must_refuse: Any = impossible
     if epsilon is not None:
         shape = (model.n_states, model.n_actions)

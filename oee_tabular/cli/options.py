@@ -25,6 +25,8 @@ GROUPS = (INPUT, VALUE, OUTPUT)
 ARGUMENTS = {
     "n": "transitions",
     "behavior_policy": "behavior",
+    "columns": "column",
+    "epsilon": "action_noise",
     "lower_ratio and upper_ratio": "box",
     "shape": "grid",
 }
@@ -55,6 +57,16 @@ _LOG = typer.Option(
 )
 LogOption = Annotated[list[str], _LOG]
 OptionalLogOption = Annotated[list[str] | None, _LOG]
+
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        metavar="COLUMN=LABEL",
+        help="What the log's files call a column, repeatable: state=pose_before.",
+        rich_help_panel=INPUT,
+    ),
+]
 
 PoliciesOption = Annotated[
     list[str] | None,

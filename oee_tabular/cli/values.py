@@ -14,6 +14,7 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import (
     policies_of,
     read_box,
+    read_columns,
     read_entries,
     read_problem,
     task_of,
@@ -25,6 +26,7 @@ from oee_tabular.cli.options import (
     VALUE,
     ActionNoiseOption,
     BoxOption,
+    ColumnOption,
     ConfidenceOption,
     DaskOption,
     DiscountOption,
@@ -64,6 +66,7 @@ def evaluate(
     *,
     simulator: OptionalSimulatorOption = None,
     log: OptionalLogOption = None,
+    column: ColumnOption = None,
     policy: PoliciesOption = None,
     history: Annotated[
         str,
@@ -229,6 +232,7 @@ def evaluate(
         "--initial": initial,
         "--impossible": impossible,
     }
+    _refuse_quick_box(guaranteed is False, box)
     common: dict[str, Any] = {
         "confidence": confidence,
         "seed": seed,
@@ -239,7 +243,8 @@ def evaluate(
     }
     if simulator is None and not log:
         _refuse_given(
-            {"--behavior": behavior, "--target": target} | for_files,
+            {"--column": column, "--behavior": behavior, "--target": target}
+            | for_files,
             "needs --simulator and --log",
         )
         common["normalized"] = normalized is not False
@@ -268,6 +273,7 @@ def evaluate(
             target,
             settings,
             grid=cells,
+            columns=read_columns(column, log),
             horizon=horizon,
             discount=0.99 if discount is None else discount,
             **common,
@@ -277,6 +283,7 @@ def evaluate(
             simulator,
             log,
             policy,
+            column=column,
             behavior=behavior,
             target=target,
             initial=initial,
@@ -310,8 +317,22 @@ def _read_page(
         return None, None
     title, _, name = report.rpartition("=")
     page = Path(name or report)
+    if title and _is_place_of_page(Path(report), report):
+        if _is_place_of_page(page, report):
+            raise ArgumentError(
+                "--report",
+                f"must be clear; {report!r} and {name!r} can both be the file (write"
+                f" {title}=./{name}, or ./{report})",
+            )
+        title, page = "", Path(report)
     oee.report.check_page(page)
     return title or None, page
+
+
+def _is_place_of_page(page: Path, text: str) -> bool:
+    """Say whether a page is there, or, of a text like a=b/c.html, its folder is."""
+    has_folder = "=" in str(Path(text).parent) and page.parent.is_dir()
+    return page.is_file() or has_folder
 
 
 def _split_names(text: str) -> list[str]:
@@ -342,6 +363,16 @@ def _refuse_task_options(
     raise ValueError(
         f"{given[0]} needs a continuous task (--simulator cartpole:gravity=10)"
     )
+
+
+def _refuse_quick_box(quick: bool, box: str | None) -> None:
+    """Refuse a box beside --quick; a box is read first, since it may be none."""
+    if read_box(box) and quick:
+        raise ArgumentError(
+            "--quick",
+            "must be left out with --box: it leaves out the intervals that a box"
+            " narrows",
+        )
 
 
 def _refuse_given(options: Mapping[str, object], rule: str) -> None:
@@ -382,6 +413,7 @@ def _evaluate_finite(
     log: list[str],
     policy: list[str] | None,
     *,
+    column: list[str] | None,
     behavior: str | None,
     target: str | None,
     initial: str | None,
@@ -408,6 +440,7 @@ def _evaluate_finite(
         horizon=horizon,
         rewards=rewards,
         behavior=behavior,
+        column=column,
     )
     specs = named_specs(policy or ["optimal"])
     facts: dict[str, Any] = {
@@ -422,6 +455,8 @@ def _evaluate_finite(
         facts["initial"] = initial
     if impossible != "refuse":
         facts["impossible"] = impossible
+    if column:
+        facts["columns"] = ", ".join(column)
     if discount is not None:
         facts["discount"] = discount
     if action_noise:
@@ -477,6 +512,7 @@ def compare(
             rich_help_panel=INPUT,
         ),
     ],
+    column: ColumnOption = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     impossible: ImpossibleOption = "refuse",
@@ -514,6 +550,7 @@ def compare(
             "must be given twice or more, for there is nothing to compare; there is"
             f" {policy[0]!r}",
         )
+    _refuse_quick_box(quick, box)
     known: dict[str, Any] = read_box(box)
     task, problem = read_problem(
         simulator,
@@ -524,6 +561,7 @@ def compare(
         impossible=impossible,
         horizon=horizon,
         rewards=rewards,
+        column=column,
     )
     policies = policies_of(policy, task)
     report = oee.report.contest(
@@ -571,6 +609,7 @@ def plan(
             rich_help_panel=INPUT,
         ),
     ],
+    column: ColumnOption = None,
     policy: PoliciesOption = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
@@ -629,6 +668,7 @@ def plan(
         action_noise=action_noise,
         impossible=impossible,
         horizon=horizon,
+        column=column,
     )
     policies = policies_of(policy, task)
     _progress.report_step(f"plan for {transitions} transitions")
@@ -720,6 +760,18 @@ def reproduce(
     from oee_tabular.lab.experiments import catalogue
 
     if list_only:
+        _refuse_beside_list(
+            {
+                "ID": bool(experiments),
+                "--all": run_all,
+                "--smoke": smoke,
+                "--seeds": seeds is not None,
+                "--seed": seed != 0,
+                "--jobs": jobs != -1,
+                "--dask": dask is not None,
+                "--fresh": fresh,
+            }
+        )
         _print_lines(lambda say: say(catalogue.listing()), as_json)
         return
     _print_lines(
@@ -737,6 +789,15 @@ def reproduce(
         ),
         as_json,
     )
+
+
+def _refuse_beside_list(is_given: Mapping[str, bool]) -> None:
+    """Refuse the first option that is given beside --list."""
+    for option in is_given:
+        if is_given[option]:
+            raise ArgumentError(
+                option, "must be left out with --list, which runs nothing"
+            )
 
 
 def _print_lines(run: Callable[[Callable[[str], None]], None], as_json: bool) -> None:

@@ -258,19 +258,20 @@ def evaluate_files(
     target: str | None,
     options: dict[str, Any],
     grid: GridLike | None = None,
+    columns: Mapping[str, Any] | None = None,
     **common: Any,
 ) -> Report:
     """Evaluate policies by a continuous simulator and a log of continuous states.
 
-    ``options`` are made by ``task_options``, ``grid`` by ``read_grid``; ``common`` is
-    what ``evaluate_continuous`` takes.
+    ``options`` are made by ``task_options``, ``grid`` by ``read_grid``; ``columns`` is
+    what the log's files call its columns; ``common`` is what ``evaluate_continuous`` takes.
     """
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import Settings
     from oee_tabular.mdp.policies import read_policy_array
 
-    recorded = ContinuousTransitions.load(log)
+    recorded = ContinuousTransitions.load(log, columns=columns)
     state = options.get("state")
     actions = options.get("actions")
     is_gymnasium = spec.partition(":")[0] not in CONTINUOUS

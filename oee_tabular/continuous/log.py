@@ -9,7 +9,6 @@ is matched to the nearest action of the set.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
+from oee_tabular.data.aliases import NUMBERED, stem
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.frames import is_minari, minari_episodes
-from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
+from oee_tabular.data.labels import ColumnsLike, show_labels, suggest_columns
+from oee_tabular.data.rules import check_array
 from oee_tabular.data.tables import read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
@@ -39,7 +40,6 @@ RECORDED = (
     "behavior_probability",
 )
 CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
-NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
 
 class VectorFormat(Format):
@@ -52,10 +52,7 @@ class VectorFormat(Format):
     kind = "continuous_transitions"
     endings = ".npz, .csv, .parquet"
     writes_minari = False
-
-    def is_known(self, label: str) -> bool:
-        """Return whether a label is a log's column, or one coordinate of a vector."""
-        return label in COLUMNS or NUMBERED.fullmatch(label) is not None
+    has_vectors = True
 
     def to_table(self, columns: Columns) -> Columns:
         """Split each vector into one column for each coordinate."""
@@ -100,21 +97,22 @@ class VectorFormat(Format):
             )
         return columns
 
-    def require(self, labels: Iterable[str], name: str) -> None:
+    def require(
+        self, labels: Iterable[str], name: str, taken: Iterable[str] | None = None
+    ) -> None:
         """Raise a ValueError unless the three columns of a transition are there."""
         labels = list(labels)
-        whole = [label for label in labels if label in COLUMNS]
-        whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
+        whole = set(map(stem, labels if taken is None else taken))
         absent = [column for column in self.required if column not in whole]
         if absent:
-            # a file may have any number of columns, with any characters in their names
-            present = _checks.escape_controls(", ".join(labels[:1000])[:300])
             expected = ("state_0", "next_state_0", *self.required)
             raise ArgumentError(
                 f"{name!r}",
                 "must have the columns state_0, ..., next_state_0, ... and action (or"
                 f" action_0, ...); it has no {', no '.join(absent)}, only"
-                f" {present or 'nothing'}{suggest_columns(expected, labels)}",
+                f" {show_labels(labels)}{suggest_columns(expected, labels)}"
+                " (say which columns hold them: columns={'state_0': 'its label'},"
+                " --column state_0='its label')",
             )
 
     def check_episode(
@@ -140,10 +138,13 @@ class VectorFormat(Format):
 VECTORS = VectorFormat()
 
 
-def holds_states(path: str | os.PathLike[str]) -> bool:
+def holds_states(
+    path: str | os.PathLike[str], columns: ColumnsLike | None = None
+) -> bool:
     """Return whether a file or Minari data set is a log of continuous states.
 
-    Of tables only the header is read.
+    Of tables only the header is read. ``columns``: what it calls a log's columns.
+    Several labels to a state may make a name as well, and say nothing.
     """
     name = _files.local(path)
     suffix = Path(name).suffix.lower()
@@ -151,7 +152,13 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
         return _files.npz_kind(_files.read_npz(name)) == VECTORS.kind
     if suffix in (".csv", ".parquet"):
         try:
-            return "state_0" in read_labels(name)
+            said = {
+                field: label
+                for field, label in (columns or {}).items()
+                if not isinstance(label, list | tuple)
+            }
+            found = VECTORS.with_columns(said).match(read_labels(name), name)
+            return "state_0" in found.taken
         except ValueError:
             return False  # whoever reads it says what is wrong
     if not is_minari(name):

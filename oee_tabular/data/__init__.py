@@ -30,8 +30,9 @@ of the counts, with a sample of whole episodes for importance sampling.
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
 - ``frames.py``: data frames of any library (narwhals), episodes as lists of steps,
   names, Minari data sets
-- ``rules.py``: the labels of columns and what each must hold, for arrays, tables and
-  counts
+- ``labels.py``: which column of a file or a frame is which column of a log;
+  ``aliases.py``: what other projects call them
+- ``rules.py``: what each column must hold, for arrays, tables and counts
 - ``files.py``: npz, and which files a path, a pattern or a folder names
 - ``tables.py``: CSV and parquet, in pieces
 - ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions
@@ -52,6 +53,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.data.counts import TransitionCounts
+from oee_tabular.data.opening import has_labels as has_labels
 from oee_tabular.data.opening import open_log
 from oee_tabular.data.opening import read_log as read_log
 from oee_tabular.data.transitions import Transitions

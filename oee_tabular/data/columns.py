@@ -16,6 +16,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.joining import join_logs
+from oee_tabular.data.labels import ColumnsLike
 from oee_tabular.data.rules import (
     COLUMNS,
     NO_NAMES,
@@ -353,7 +354,7 @@ class LogColumns:
 
     @classmethod
     @suggest_keywords
-    def load(cls, path: files.Paths) -> Self:
+    def load(cls, path: files.Paths, *, columns: ColumnsLike | None = None) -> Self:
         r"""Read a log from files.
 
         Parameters
@@ -363,6 +364,11 @@ class LogColumns:
             this machine. Several files, a pattern or a folder of files are one log, in
             the order of their names, numbers by their size (``concatenate``). An
             episode that is cut at the end of a file goes on in the next one.
+        columns : mapping of str to str, optional
+            What the files call a log's columns, ``{"state": "pose_before"}``; several
+            labels to a state or an action make a tuple, or a vector. Without it they
+            are found by their own labels, and by those of other projects that mean one
+            thing. None in place of a label leaves the column out.
 
         Returns
         -------
@@ -386,6 +392,8 @@ class LogColumns:
         The columns of CSV and parquet files have the names of the constructor's
         parameters. Only state, action and next_state are required. A vector has the
         columns state_0, state_1, ..., next_state_0, ..., and action or action_0, ...
+        Labels of other projects, such as ``obs``, ``next_obs`` and ``rewards``, are
+        read with a warning, and refused where they may mean two things, as ``done``.
 
         Examples
         --------
@@ -396,17 +404,23 @@ class LogColumns:
         >>> Transitions.load(path)
         Transitions(2 transitions: 0 terminated, 0 truncated; states 0..2, actions 0..0)
         """
-        return cls._load(path)
+        return cls._load(path, columns)
 
     @classmethod
-    def _load(cls, path: files.Paths, names: files.OwnNames = NO_NAMES) -> Self:
+    def _load(
+        cls,
+        path: files.Paths,
+        columns: ColumnsLike | None,
+        names: files.OwnNames = NO_NAMES,
+    ) -> Self:
         """Read a log from files; ``names`` are the simulator's, where it is known.
 
-        They are by the labels of columns, and none of them is a word for no value.
+        They are by a log's columns, and none of them is a word for no value.
         """
+        form = cls.FILES.with_columns(columns)
         found = files.find_log_files(path)
-        reported: set[str] = set()
-        parts = (files.load(cls.FILES, file, reported, names) for file in found)
+        reported: set[Any] = set()
+        parts = (files.load(form, file, reported, names) for file in found)
         log: Self = join_logs(cls, found, parts)
         return log
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.joining import Row, order_hint
+from oee_tabular.data.labels import Matching
 from oee_tabular.data.rules import (
     COLUMNS,
     KEY,
@@ -34,6 +35,7 @@ from oee_tabular.data.tables import (
     Piece,
     Table,
     add_folders,
+    match_own,
     open_table,
     sum_groups,
 )
@@ -55,7 +57,8 @@ class Limits(NamedTuple):
     """Hold what rows must keep to: numbers below ``sizes`` (states, actions), or names.
 
     ``drop``: whether other rows are left out. ``kept``: the transitions of the sample.
-    ``has_others``: whether an episode may go on in another file.
+    ``has_others``: whether an episode may go on in another file. ``columns``: what the
+    files call a log's columns.
     """
 
     sizes: tuple[int, int] = (LARGEST, LARGEST)
@@ -63,6 +66,7 @@ class Limits(NamedTuple):
     drop: bool = False
     kept: int = 200_000
     has_others: bool = False
+    columns: Mapping[str, Any] = {}
 
 
 class Sample(NamedTuple):
@@ -180,22 +184,25 @@ class FileCounts(NamedTuple):
     recording: Recording
     sample: Sample
     known: frozenset[str]
-    unknown: tuple[str, ...]
+    matching: Matching
     ends: Ends | None = None
     episodes: tuple[str, ...] = ()
 
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; its ``name`` is hashed for the sample."""
-    form = Transitions.FILES
+    form = Transitions.FILES.with_columns(limits.columns)
     if file.suffix in (".csv", ".parquet"):
         table = open_table(file, form)
     else:
-        columns = form.to_table(Transitions.load(file.path).columns())
+        columns = form.to_table(
+            Transitions.load(file.path, columns=limits.columns).columns()
+        )
         labels = list(columns)
         whole = Piece(columns, np.arange(len(columns["state"])), {})
-        whole = add_folders(file, form, whole)
-        table = Table(labels, list(whole.columns), [whole])
+        own = match_own(file, labels)
+        whole = add_folders(file, own, whole)
+        table = Table(labels, list(whole.columns), [whole], own)
     count = _FileCount(file, limits, name, table)
     has_episodes = not {"episode", "timestep"}.isdisjoint(table.known)
     can_group = file.suffix == ".parquet" and not has_episodes
@@ -205,7 +212,6 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     sample = count.draw_episodes() if count.n_rows else Sample()
     sums = join_sums(count.sums) if count.sums else None
     recording = count.recording(sums, table)
-    unknown = tuple(label for label in table.labels if label not in COLUMNS)
     episodes: tuple[str, ...] = ()
     if file.fixed and count.names:
         episodes = tuple(map(str, np.unique(np.concatenate(count.names).astype(str))))
@@ -214,7 +220,7 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         recording,
         sample,
         frozenset(table.known),
-        unknown,
+        table.matching,
         count.ends,
         episodes,
     )
@@ -257,23 +263,26 @@ class _FileCount:
 
         Returns False, and adds nothing, where a value is odd.
         """
-        if not set(table.known) <= set(table.labels):
-            return False  # a folder names a column
-        groups = sum_groups(self.path, table.known)
-        if groups is None or self._has_odd_values(groups, table.known):
+        taken = table.matching.taken
+        names = {field: group[0] for field, group in taken.items() if len(group) == 1}
+        if len(names) < len(taken) or not set(names.values()) <= set(table.labels):
+            return False  # several columns make a name, or a folder names a column
+        groups = sum_groups(self.path, names)
+        if groups is None or self._has_odd_values(groups, table):
             return False
         if "truncated" in groups:
             self.n_truncated = int(groups["count"][groups["truncated"]].sum())
         add_sums(self.sums, groups)
         return True
 
-    def _has_odd_values(self, groups: dict[str, Column], labels: list[str]) -> bool:
+    def _has_odd_values(self, groups: dict[str, Column], table: Table) -> bool:
         """Say whether DuckDB's sums need a look at the values themselves.
 
         States, actions and flags are replaced by their checked values.
         """
-        if find_headers({label: groups[label] for label in MOVE}, labels).size:
+        if find_headers({label: groups[label] for label in MOVE}, table.labels).size:
             return True
+        labels = table.known
         for label in labels:
             if label in (*KEY, "truncated"):
                 groups[label], fault = self._check(groups[label], label)

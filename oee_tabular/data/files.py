@@ -8,21 +8,28 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 from urllib.parse import unquote
 
 import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.frames import is_minari, minari_columns, save_minari
+from oee_tabular.data.labels import (
+    ColumnsLike,
+    Matching,
+    check_columns,
+    match_labels,
+    require_columns,
+    warn_left_out,
+    warn_read_as,
+)
 from oee_tabular.data.rules import (
     COLUMNS,
     MOVE,
     NO_NAMES,
     as_objects,
     check_table,
-    require_columns,
-    warn_left_out,
 )
 from oee_tabular.data.tables import (
     LogFile,
@@ -30,6 +37,7 @@ from oee_tabular.data.tables import (
     Table,
     add_folders,
     count_parquet_rows,
+    match_own,
     open_table,
     write_parquet,
 )
@@ -47,17 +55,32 @@ OwnNames: TypeAlias = Mapping[str, tuple[Name, ...] | None]  # by a column's lab
 class Format:
     """Describe how logs of numbered states stand in files.
 
-    A log of other states overrides what differs.
+    A log of other states overrides what differs. ``columns``: what the files call a
+    log's columns, where they have other names.
     """
 
     kind = "transitions"  # of an npz
     required = MOVE
     endings = ".npz, .csv, .csv.gz, .parquet, or be a Minari folder or id"
     writes_minari = True
+    has_vectors = False
 
-    def is_known(self, label: str) -> bool:
-        """Say whether a table's column is one of a log's."""
-        return label in COLUMNS
+    def __init__(self, columns: ColumnsLike | None = None) -> None:
+        self.columns = check_columns(columns, has_vectors=self.has_vectors)
+
+    def with_columns(self, columns: ColumnsLike | None) -> Self:
+        """Return the format of files that call a log's columns so."""
+        return type(self)(columns)
+
+    def match(self, labels: Iterable[str], name: str) -> Matching:
+        """Return which labels of the table ``name`` hold which columns of a log."""
+        return match_labels(
+            labels,
+            repr(name),
+            self.columns,
+            lambda given, taken: self.require(given, name, taken),
+            has_vectors=self.has_vectors,
+        )
 
     def to_table(self, columns: Columns) -> Columns:
         """Return the columns of a table, each (n,), names as texts."""
@@ -72,13 +95,14 @@ class Format:
         """Return the columns of a log from those of the table ``name``."""
         return columns
 
-    def require(self, labels: Iterable[str], name: str) -> None:
-        """Raise an ArgumentError where these columns are no log of this kind."""
-        way = (
-            "; in Python, several to a state as well: Transitions.from_frame(frame,"
-            " state='its name', ...).save('log.csv')"
-        )
-        require_columns(repr(name), self.required, labels, way=way)
+    def require(
+        self, labels: Iterable[str], name: str, taken: Iterable[str] | None = None
+    ) -> None:
+        """Raise an ArgumentError where these columns are no log of this kind.
+
+        ``taken``: the columns of a log that were found among the labels.
+        """
+        require_columns(repr(name), self.required, labels, taken=taken)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """Raise an ArgumentError where a Minari episode is none of such a log."""
@@ -117,22 +141,27 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
 
 
 def load(
-    form: Format, file: LogFile, reported: set[str], names: OwnNames = NO_NAMES
+    form: Format, file: LogFile, reported: set[Any], names: OwnNames = NO_NAMES
 ) -> Columns:
     """Read the columns of a log in the format of the path's ending.
 
-    Warns of unknown columns that are not ``reported``. ``names``: by the labels of
-    columns, the simulator's, where it is known.
+    Warns of labels of other projects and of unknown ones that are not ``reported``.
+    ``names``: by a log's columns, the simulator's, where it is known.
     """
     name = _files.local(file.path)
     if os.path.exists(name) and not os.path.isdir(name):
         _files.require_regular(name)
     if file.suffix == ".npz":
+        if form.columns:
+            raise ArgumentError(
+                "columns",
+                f"must be left out for {name!r}: an npz has a log's own labels",
+            )
         columns = _load_npz(form, file, name)
     elif file.suffix in (".csv", ".parquet"):
         columns = _load_table(form, file, name, reported, names)
     elif is_minari(name):
-        columns = minari_columns(name, form.check_episode)
+        columns = minari_columns(name, form.check_episode, form.columns, reported)
     else:
         raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
     return {column: columns[column] for column in COLUMNS if column in columns}
@@ -145,7 +174,8 @@ def _load_npz(form: Format, file: LogFile, name: str) -> Columns:
         return columns
     with _files.parts_of(name, "a log"):
         rows = np.arange(len(columns["state"]))
-    whole = add_folders(file, form, Piece(columns, rows, {})).columns
+    matching = match_own(file, columns)
+    whole = add_folders(file, matching, Piece(columns, rows, {})).columns
     return columns | check_table(
         {label: column for label, column in whole.items() if label not in columns},
         repr(name),
@@ -171,7 +201,7 @@ def _read_npz(form: Format, name: str) -> Columns:
 
 
 def _load_table(
-    form: Format, file: LogFile, name: str, reported: set[str], names: OwnNames
+    form: Format, file: LogFile, name: str, reported: set[Any], names: OwnNames
 ) -> Columns:
     """Read the columns of a log from a CSV or parquet file."""
     table = open_table(file, form)
@@ -179,13 +209,12 @@ def _load_table(
         _read_whole(file, table), repr(name), names=names, find_text=table.find_text
     )
     columns = form.from_table(values, name)
-    unknown = [
-        label
-        for label in table.labels
-        if not form.is_known(label) and label not in reported
-    ]
-    reported.update(unknown)
-    warn_left_out(name, unknown, COLUMNS)
+    found = table.matching
+    renamed = [pair for pair in found.renamed if pair not in reported]
+    unknown = [label for label in found.left_out if label not in reported]
+    reported.update(renamed, unknown)
+    warn_read_as(repr(name), renamed)
+    warn_left_out(name, unknown)
     return columns
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import importlib.util
 import itertools
@@ -16,15 +15,18 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular.data.rules import (
-    COLUMNS,
-    MOVE,
-    as_objects,
-    check_table,
-    is_missing,
-    suggest,
+from oee_tabular.data.labels import (
+    ColumnsLike,
+    check_columns,
+    is_label,
+    join_parts,
+    match_labels,
+    show_labels,
     suggest_columns,
+    suggest_label,
+    warn_read_as,
 )
+from oee_tabular.data.rules import COLUMNS, MOVE, check_table
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import (
     Name,
@@ -55,63 +57,91 @@ def is_frame(value: object) -> bool:
     )
 
 
-def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str, Any]:
+def frame_columns(
+    frame: object, column_names: Mapping[str, object], columns: ColumnsLike | None
+) -> dict[str, Any]:
     """Return the columns of a log, by the constructor's names, of a data frame.
 
-    ``column_names``: what the frame calls them. Raises an ArgumentError for what is no
-    frame, for columns that it has not, and for the first value that is none of a log's.
+    ``column_names``: what the frame calls them, by keyword; ``columns``: the same as a
+    mapping. Raises an ArgumentError for what is no frame, for columns that it has not,
+    and for the first value that is none of a log's.
     """
-    table = eager(frame)
-    labels = [str(label) for label in table.columns]
-    given = {
-        field: _find_labels(field, names, labels)
-        for field, names in column_names.items()
-        if names is not None
-    }
-    taken = {
-        field: given.get(field, [field])
-        for field in COLUMNS
-        if field in given or field in labels
-    }
-    missing = [field for field in MOVE if field not in taken]
-    if missing:
-        hint = "" if len(labels) == 1 else suggest_columns(missing, labels)
+    labels, series = _read_series(frame)
+    named = check_columns(columns)
+    for field, names in column_names.items():
+        if names is None:
+            continue
+        group = _find_labels(field, names, labels)
+        if field in named and _as_group(named[field], labels) != group:
+            raise ArgumentError(
+                field,
+                f"must be the column that columns names, {_checks.show(named[field])};"
+                f" it is {_checks.show(names)}",
+            )
+        named[field] = group[0] if len(group) == 1 else group
+
+    def require(given: list[Any], taken: Mapping[str, object]) -> None:
+        """Raise an ArgumentError where a column of a transition is missing."""
+        missing = [field for field in MOVE if field not in taken]
+        if not missing:
+            return
+        hint = "" if len(given) == 1 else suggest_columns(missing, given)
         raise ArgumentError(
             "frame",
             f"must have the columns {', '.join(MOVE)}; it has"
-            f" {', '.join(labels) or 'none':.300}{hint} (say which it is:"
+            f" {show_labels(given)}{hint} (say which it is:"
             f" Transitions.from_frame(frame, {missing[0]}='its name', ...))",
         )
-    _warn_of_near_labels(labels, taken)
-    columns = {field: _join_columns(table, group) for field, group in taken.items()}
-    return check_table(columns, "frame")
+
+    found = match_labels(labels, "frame", named, require, has_capitals=True)
+    warn_read_as("the frame", found.renamed)
+    values = {
+        field: _join_columns([series(labels.index(label)) for label in group])
+        for field, group in found.taken.items()
+    }
+    return check_table(
+        {field: values[field] for field in COLUMNS if field in values}, "frame"
+    )
 
 
-def _warn_of_near_labels(labels: list[str], taken: dict[str, list[str]]) -> None:
-    """Warn of columns that a log does not use but whose names resemble a log's."""
-    used = {label for group in taken.values() for label in group}
-    absent = [field for field in COLUMNS if field not in taken]
-    near = []
-    for label in labels:
-        if label in used:
-            continue
-        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8):
-            near.append(f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})")
-    if near:
-        _checks.warn(
-            "columns of the frame that a log does not use are left out:"
-            f" {', '.join(near)}",
-            DataWarning,
+def _read_series(frame: object) -> tuple[list[Any], Callable[[int], Any]]:
+    """Return the labels of a frame, and what returns the column of each place.
+
+    Labels of pandas need be no texts, and need not differ. The levels of its index that
+    have names are columns, unless a column has the same name.
+    """
+    import narwhals as nw
+
+    table: Any = nw.to_native(frame, pass_through=True)
+    if nw.dependencies.is_pyarrow_table(table):
+        columns = table.columns
+        return table.column_names, lambda k: nw.from_native(
+            columns[k], series_only=True
         )
+    if nw.dependencies.is_pandas_like_dataframe(table):
+        labels = table.columns.tolist()
+        index = [name for name in table.index.names if name is not None]
+        levels = [name for name in index if name not in labels]
+
+        def one(k: int) -> Any:
+            """Return the column, or the level of the index, of the k-th label."""
+            if k < len(labels):
+                return nw.from_native(table.iloc[:, k], series_only=True)
+            level = table.index.get_level_values(levels[k - len(labels)])
+            return nw.from_native(level.to_series(), series_only=True)
+
+        return [*labels, *levels], one
+    narwhal = eager(frame)
+    texts = list(narwhal.columns)
+    return texts, lambda k: narwhal[texts[k]]
 
 
-def _join_columns(table: Any, labels: list[str]) -> Column:
+def _join_columns(series: Sequence[Any]) -> Column:
     """Return a column's values, or the tuples of several columns' values."""
-    columns = [_column_values(table[label]) for label in labels]
+    columns = [_column_values(one) for one in series]
     if len(columns) == 1:
         return columns[0]
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return as_objects([None if any(map(is_missing, row)) else row for row in rows])
+    return join_parts([column.tolist() for column in columns])
 
 
 def _column_values(column: Any) -> Column:
@@ -135,6 +165,12 @@ def eager(frame: Any) -> Any:
         hint = ""
         if isinstance(frame, str | os.PathLike):
             hint = " (a file: Transitions.load)"
+        elif isinstance(frame, Mapping):
+            hint = " (columns by their names: pandas.DataFrame(columns))"
+        elif (
+            isinstance(frame, list | tuple) and frame and isinstance(frame[0], Mapping)
+        ):
+            hint = " (rows by their names: pandas.DataFrame(rows))"
         raise ArgumentError(
             "frame",
             "must be a data frame (pandas, polars, arrow); got"
@@ -149,24 +185,29 @@ def eager(frame: Any) -> Any:
         ) from None
 
 
-def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
+def _find_labels(field: str, given: object, labels: list[Any]) -> tuple[Any, ...]:
     """Return the frame's labels of one field, several where they make a name."""
-    if isinstance(given, str):
-        group = [given]
-    else:
-        group = list(_checks.collection(given, field, "a column's name, or several"))
+    group = _as_group(given, labels)
     for label in group:
-        if not isinstance(label, str) or label not in labels:
+        if not is_label(label, labels):
             raise ArgumentError(
                 field,
-                f"must be the name of a column of the frame, {', '.join(labels):.300};"
-                f" it is {_checks.show(label)}{suggest(label, labels, quotes=True)}",
+                f"must be the name of a column of the frame, {show_labels(labels)};"
+                f" it is {_checks.show(label)}{suggest_label(label, labels)}",
             )
     if not group or (len(group) > 1 and field not in MOVE):
         raise ArgumentError(
             field, f"must be the name of one column; it is {_checks.show(given)}"
         )
     return group
+
+
+def _as_group(given: object, labels: list[Any]) -> tuple[Any, ...]:
+    """Return one label, or several in a list or tuple, as a tuple of them."""
+    is_whole = is_label(given, labels)
+    if isinstance(given, list | tuple) and not is_whole:
+        return tuple(given)
+    return (given,)
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:
@@ -177,6 +218,12 @@ def episode_columns(episodes: object) -> dict[str, Any]:
     given = _checks.collection(
         episodes, "episodes", "a list of episodes, each a list of steps"
     )
+    if _are_rows(given):
+        raise ArgumentError(
+            "episodes",
+            "must be a list of episodes, each a list of steps; it is a list of mappings"
+            " (rows by their names: pandas.DataFrame(rows))",
+        )
     rows: list[tuple[Any, ...]] = []
     n_cut = 0
     for k, episode in enumerate(given):
@@ -202,6 +249,15 @@ def episode_columns(episodes: object) -> dict[str, Any]:
     labels = ("state", "action", "reward", "next_state", "terminated", "episode")
     columns = [list(column) for column in zip(*rows, strict=True)]
     return dict(zip(labels, columns, strict=True))
+
+
+def _are_rows(given: Sequence[object]) -> bool:
+    """Say whether these are rows, mappings from labels to single values."""
+    first = given[0] if given else None
+    is_several = (list, tuple, np.ndarray)
+    return isinstance(first, Mapping) and not any(
+        isinstance(value, is_several) for value in first.values()
+    )
 
 
 def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
@@ -491,13 +547,28 @@ def minari_episodes(name: str) -> list[Any]:
         ) from None
 
 
+MINARI = ("state", "action", "next_state", "reward", "terminated", "truncated")
+
+
 def minari_columns(
-    name: str, check: Callable[[Column, Column, str], None]
+    name: str,
+    check: Callable[[Column, Column, str], None],
+    column_names: ColumnsLike,
+    reported: set[Any],
 ) -> dict[str, Column]:
     """Return a Minari data set as columns.
 
     ``check(observations, actions, name)`` refuses an episode that is none of the log's.
+    ``column_names`` may say which of the infos is the behaviour probability; else it is
+    found as in a table. What is read so is warned of once (``reported``).
     """
+    odd = [field for field in column_names if field != "behavior_probability"]
+    if odd:
+        raise ArgumentError(
+            "columns",
+            "must name behavior_probability alone for a Minari data set, which has its"
+            f" own columns; it names {odd[0]}",
+        )
     parts: list[dict[str, Column]] = []
     for number, episode in enumerate(minari_episodes(name)):
         observations = np.asarray(episode.observations)
@@ -512,8 +583,19 @@ def minari_columns(
             "truncated": np.asarray(episode.truncations, dtype=np.bool_),
             "episode": np.full(len(actions), number),
         }
-        recorded = (episode.infos or {}).get("behavior_probability")
-        if recorded is not None:
+        infos = episode.infos or {}
+        own = [*MINARI, "episode"]
+        found = match_labels(
+            [*own, *(label for label in infos if label not in own)],
+            repr(name),
+            column_names,
+            lambda given, taken: None,
+        )
+        new = [pair for pair in found.renamed if pair not in reported]
+        reported.update(new)
+        warn_read_as(repr(name), new)
+        for label in found.taken.get("behavior_probability", ()):
+            recorded = infos[label]
             # Minari has one more of each info than of actions
             probability = np.asarray(recorded, dtype=np.float64).reshape(-1)
             columns["behavior_probability"] = probability[: len(actions)]

@@ -32,7 +32,13 @@ from oee_tabular.data.counts import (
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.frames import is_frame
 from oee_tabular.data.joining import TIMESTEP, Folders, Row, judge, warn_of
-from oee_tabular.data.rules import COLUMNS, KEY, MOVE, warn_left_out
+from oee_tabular.data.labels import (
+    ColumnsLike,
+    check_columns,
+    warn_left_out,
+    warn_read_as,
+)
+from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile
 from oee_tabular.data.transitions import Transitions
@@ -54,6 +60,7 @@ def open_log(
     jobs: int = 1,
     dask: str | None = None,
     progress: bool = False,
+    columns: ColumnsLike | None = None,
 ) -> TransitionCounts:
     """Count a log of any size, in memory of the size of its counts.
 
@@ -85,6 +92,8 @@ def open_log(
         The address of a scheduler whose workers see the files.
     progress : bool, default False
         Whether to show a bar.
+    columns : mapping of str to str, optional
+        What the files call a log's columns, as ``Transitions.load`` takes it.
 
     Returns
     -------
@@ -119,15 +128,21 @@ def open_log(
                      2 whole episodes kept)
     """
     _checks.boolean(progress, "progress")
-    if isinstance(path, str | os.PathLike) and holds_counts(path):
-        return TransitionCounts.load(path)
+    named = check_columns(columns)
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
     limits = _limits(simulator, n_states, n_actions)
     limits = limits._replace(
         drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves")
     )
+    limits = limits._replace(columns=named)
     if not (_checks.is_integer(jobs) and jobs == -1):
         _checks.positive_integer(jobs, "jobs")
+    if isinstance(path, str | os.PathLike) and holds_counts(path):
+        refuse_columns(named, "counts")
+        counted = TransitionCounts.load(path)
+        if output is not None:
+            counted.save(output)
+        return counted
     from tqdm import tqdm
 
     files = find_log_files(path)
@@ -153,7 +168,8 @@ def _add_files(
     folders = Folders()
     for file, counts in zip(files, counted, strict=True):
         if not columns:
-            warn_left_out(file.path, counts.unknown, COLUMNS)
+            warn_read_as(repr(file.path), counts.matching.renamed)
+            warn_left_out(file.path, counts.matching.left_out)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
         folders.add(file, counts.known, counts.episodes)
@@ -315,35 +331,55 @@ def _limits(
     return Limits((states, actions))
 
 
+def refuse_columns(columns: object, source: str) -> None:
+    """Raise an ArgumentError where columns are named of what has its own labels."""
+    if columns:
+        raise ArgumentError(
+            "columns",
+            f"must be left out for {source}: it names the columns of a table, a file or"
+            " a data frame",
+        )
+
+
 def read_log(
-    source: Any, simulator: FiniteMDP, name: str = "log"
+    source: Any,
+    simulator: FiniteMDP,
+    name: str = "log",
+    columns: ColumnsLike | None = None,
 ) -> Transitions | TransitionCounts:
     """Return what was recorded, in the simulator's numbers, of whatever form it has.
 
     ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path,
     or a list of paths, a pattern or a folder. ``name``: what errors call it.
+    ``columns``: what a file or a frame calls a log's columns.
     """
     log: Any = source
     is_list = isinstance(source, list | tuple)
-    paths = source if is_list and source else (source,)
-    if all(isinstance(path, str | os.PathLike) for path in paths):
+    if _are_paths(source):
         try:
             if not is_list and holds_counts(source):
+                refuse_columns(columns, "counts")
                 log = TransitionCounts.load(source)
             else:
                 states, actions = simulator.state_names, simulator.action_names
                 own = dict(zip(MOVE, (states, actions, states), strict=True))
-                log = Transitions._load(source, own)
+                log = Transitions._load(source, columns, own)
         except ArgumentError as error:
-            raise ArgumentError(f"{name}: {error.argument}", error.rule) from error
+            argument = error.argument
+            if argument != "columns":
+                argument = f"{name}: {argument}"
+            raise ArgumentError(argument, error.rule) from error
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:
+        refuse_columns(columns, "a list of episodes")
         log = Transitions.from_episodes(source)
         name = "episodes"
     elif not isinstance(source, Transitions | TransitionCounts) and is_frame(source):
-        log = Transitions.from_frame(source, simulator=simulator)
+        log = Transitions.from_frame(source, simulator=simulator, columns=columns)
         name = "frame"
+    else:
+        refuse_columns(columns, type(source).__name__)
     if isinstance(log, TransitionCounts):
         return log
     if not isinstance(log, Transitions):
@@ -352,6 +388,22 @@ def read_log(
             f"must be Transitions; got {type(log).__name__}{_suggest_transitions(log)}",
         )
     return log.numbered(simulator, name)
+
+
+def _are_paths(source: object) -> bool:
+    """Say whether a source of a log is a path, or a list of paths."""
+    is_list = isinstance(source, list | tuple)
+    paths: Any = source if is_list and source else (source,)
+    return all(isinstance(path, str | os.PathLike) for path in paths)
+
+
+def has_labels(source: object) -> bool:
+    """Say whether a source of a log is a file or a frame, whose columns have labels."""
+    if isinstance(source, str | os.PathLike):
+        return not holds_counts(source)
+    if _are_paths(source):
+        return True
+    return not isinstance(source, Transitions | TransitionCounts) and is_frame(source)
 
 
 def _suggest_transitions(value: Any) -> str:

@@ -11,18 +11,17 @@ so that "7" and "007" differ.
 from __future__ import annotations
 
 import decimal
-import difflib
 import fractions
 import math
 import operator
 import re
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import (
     Name,
     is_number_text,
@@ -49,8 +48,6 @@ KINDS = {
     "behavior_probability": "numbers",
 }
 COLUMNS = tuple(KINDS)
-MAX_SHOWN_COLUMNS = 10  # of those that are left out
-SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 # in small letters, without blanks around; numbers that are 0 or 1 are flags as well
 FLAG_WORDS = {"true": True, "t": True, "false": False, "f": False}
 # what programs write for no value, in small letters, without blanks around
@@ -341,16 +338,37 @@ HEADER_RULE = (
 )
 
 
+def plain(label: Any) -> str:
+    """Return a label in lower case, with one underscore for what parts its words.
+
+    The parts of a label that is a tuple are joined.
+
+    >>> plain("Next State"), plain("nextState"), plain("next.state"), plain("state[0]")
+    ('next_state', 'next_state', 'next_state', 'state_0')
+    """
+    if isinstance(label, tuple):
+        label = "_".join(part for part in label if isinstance(part, str) and part)
+    if not isinstance(label, str):
+        return ""
+    text = label.strip(" \t\ufeff")
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1]
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text).lower()
+    if re.fullmatch(r"\w_", text):  # s_, the state after s
+        return text
+    return re.sub(r"[\s\-./:\[\]()_]+", "_", text).strip("_") or text
+
+
 def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
     """Return the rows of raw columns that hold labels of the columns."""
     none = np.zeros(0, dtype=np.int64)
     if not columns or not all(column.dtype.hasobject for column in columns.values()):
         return none
-    words = set(_plain(labels))
+    words = set(map(plain, labels))
 
     def is_label(item: Any) -> bool:
         """Say whether a value is a label."""
-        return isinstance(item, str) and _plain([item[:100]])[0] in words
+        return isinstance(item, str) and plain(item[:100]) in words
 
     first, *others = columns.values()
     rows = np.flatnonzero(np.array(_for_each(is_label, first.tolist()), dtype=np.bool_))
@@ -700,81 +718,3 @@ def _find_chain_fault(
     if isinstance(state, str):
         rule += " (or one of the two names is misspelt)"
     return Fault("next_state", rows, rule, next_state, shift=-1)
-
-
-# ---- labels of tables
-
-
-def require_columns(
-    name: str, required: Sequence[str], labels: Iterable[str], *, way: str = ""
-) -> None:
-    """Raise an ArgumentError where a required column is missing.
-
-    It has the separator or the spelling that was probably meant. ``way``: what else
-    helps, where that cannot be said.
-    """
-    given = list(labels)
-    if set(required) <= set(given):
-        return
-    shown = _checks.escape_controls(", ".join(given[:1000])[:300]) or "none"
-    hint = suggest_columns(required, given)
-    if not hint and len(given) >= len(required):
-        hint = f" (rename the columns that hold them{way})"
-    raise ArgumentError(
-        name, f"must have the columns {', '.join(required)}; it has {shown}{hint}"
-    )
-
-
-def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
-    """Return what is to be changed: the separator, or how a label is written.
-
-    Empty where that cannot be said.
-    """
-    first = labels[0] if labels else ""
-    for mark, word in SEPARATORS.items():
-        if mark in first and set(_plain(first.split(mark))) & set(required):
-            return f": its fields must be separated by commas; they are by {word}"
-    written = {
-        label: column
-        for label, column in zip(labels, _plain(labels), strict=True)
-        if column in required and column not in labels
-    }
-    return "".join(
-        f"; write {column} for {_checks.show(label)}"
-        for label, column in written.items()
-    )
-
-
-def _plain(labels: Iterable[str]) -> list[str]:
-    """Return labels in lower case, with one underscore for what parts their words."""
-    return [
-        "_".join(label.strip(" \t\"'\ufeff").lower().replace("-", " ").split())
-        for label in labels
-    ]
-
-
-def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> None:
-    """Warn of columns that are not read, each with the known one that it resembles."""
-    if not unknown:
-        return
-    named = [
-        _checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8)
-        for label in unknown[:MAX_SHOWN_COLUMNS]
-    ]
-    if len(unknown) > MAX_SHOWN_COLUMNS:
-        named.append(f"and {len(unknown) - MAX_SHOWN_COLUMNS} more")
-    _checks.warn(
-        f"columns of {name!r} that a log does not use are left out: {', '.join(named)}",
-        DataWarning,
-    )
-
-
-def suggest(
-    label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6
-) -> str:
-    """Return what was probably meant, in words; empty where nothing is near."""
-    text = label if isinstance(label, str) else _checks.show(label)
-    near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
-    if not near:
-        return ""
-    return f" (did you mean {near[0]!r}?)" if quotes else f" (did you mean {near[0]}?)"

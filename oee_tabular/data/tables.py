@@ -24,7 +24,7 @@ import re
 import unicodedata
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks, _files
+from oee_tabular.data.labels import Matching
 from oee_tabular.data.rules import (
     HEADER_RULE,
     KEY,
@@ -104,13 +105,15 @@ def no_text(label: str, row: int) -> Any:
 class Table:
     """Hold a log's rows: all ``labels``, and the ``pieces`` of ``known`` columns.
 
-    ``known`` are the labels of a log's columns. ``find_text`` returns a field, by its
-    label and the number of its row, as the file writes it, or None.
+    ``known`` are a log's columns, which ``matching`` finds among the labels.
+    ``find_text`` returns a field, by a log's column and the number of its row, as the
+    file writes it, or None.
     """
 
     labels: list[str]
     known: list[str]
     pieces: Iterable[Piece]
+    matching: Matching
     find_text: Callable[[str, int], Any] = no_text
 
 
@@ -130,38 +133,50 @@ def open_table(file: LogFile, form: Any) -> Table:
             f"must have at most {MAX_COLUMNS} columns; it has {len(labels)} (keep"
             " those that a log has)",
         )
-    _require_distinct_labels(file.path, labels, form)
-    fixed = dict(file.fixed)
-    every = list(dict.fromkeys([*labels, *fixed]))
-    form.require(every, file.path)
-    known = [label for label in every if form.is_known(label)]
+    folders = [label for label in dict(file.fixed) if label not in labels]
+    matching = form.match([*labels, *folders], file.path)
+    # a folder that is no column of a log is none of its file's
+    left = tuple(label for label in matching.left_out if label in labels)
+    matching = matching._replace(left_out=left)
     read = _read_parquet if is_parquet else _read_csv
-    own = [label for label in known if label in labels]
+    renamed = matching.rename(labels)
+    to_read = matching.to_read()
+    own = [label for label in to_read if label in renamed]
 
     def pieces() -> Iterator[Piece]:
         """Yield the pieces of the file with the columns that its folders name."""
-        for piece in read(file.path, labels, own):
-            yield add_folders(file, form, _lose_headers(file.path, piece, labels))
+        for piece in read(file.path, renamed, own):
+            found = _lose_headers(file.path, piece, labels)
+            found = add_folders(file, matching, found)
+            yield found._replace(columns=matching.join(found.columns))
 
     def find_text(label: str, row: int) -> Any:
         """Return a field as a CSV file writes it."""
-        if is_parquet or label not in labels:
+        if is_parquet or label not in renamed:
             return None
         fields = _find_line(_files.local(file.path), row)[1]
-        k = labels.index(label)
+        k = renamed.index(label)
         return fields[k] if k < len(fields) else None
 
-    return Table(labels, known, pieces(), find_text)
+    return Table(labels, list(matching.taken), pieces(), matching, find_text)
 
 
-def add_folders(file: LogFile, form: Any, piece: Piece) -> Piece:
+def match_own(file: LogFile, labels: Iterable[str]) -> Matching:
+    """Return the matching of a log's own labels, with those of the file's folders."""
+    folders = [label for label, _ in file.fixed if label in KINDS]
+    return Matching({label: (label,) for label in [*labels, *folders]})
+
+
+def add_folders(file: LogFile, matching: Matching, piece: Piece) -> Piece:
     """Return a piece with the columns that the folders of its file name.
 
     Raises an ArgumentError where the file's own column of that name says otherwise.
     """
     columns = {}
-    for label, text in file.fixed:
-        if not form.is_known(label):
+    to_read = matching.to_read()
+    for name, text in file.fixed:
+        (label,) = matching.rename([name])
+        if label not in to_read:
             continue
         value = _parse_folder(label, text)
         if label not in piece.columns:
@@ -173,7 +188,7 @@ def add_folders(file: LogFile, form: Any, piece: Piece) -> Piece:
         if row is not None:
             raise ArgumentError(
                 f"{file.path!r}: {label}[{piece.rows[row]}]",
-                f"must be what the folder '{label}={text}' says; it is"
+                f"must be what the folder '{name}={text}' says; it is"
                 f" {_checks.show(piece.columns[label][row])} (rename the folder, or"
                 " give the file itself)",
             )
@@ -228,25 +243,6 @@ def _lose_headers(path: str, piece: Piece, labels: list[str]) -> Piece:
     is_kept[found] = False
     columns = {label: column[is_kept] for label, column in piece.columns.items()}
     return Piece(columns, piece.rows[is_kept], dict(sorted(lost.items())))
-
-
-def _require_distinct_labels(path: str, labels: list[str], form: Any) -> None:
-    """Raise an ArgumentError where a known column stands twice, in capitals or not.
-
-    DuckDB does not tell capitals.
-    """
-    first_of: dict[str, str] = {}
-    for label in labels:
-        lower = label.lower()
-        if form.is_known(lower) and lower in first_of:
-            first = first_of[lower]
-            twice = f"{first!r} and {label!r}"
-            if first == label:
-                twice = f"{label!r} twice"
-            raise ArgumentError(
-                f"{path!r}", f"must have columns that differ; it has {twice}"
-            )
-        first_of.setdefault(lower, label)
 
 
 def read_labels(path: str) -> list[str]:
@@ -328,24 +324,29 @@ def count_parquet_rows(path: str) -> int:
         return int(run(f"SELECT count(*) FROM {PARQUET}").fetchone()[0])
 
 
-def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
+def sum_groups(path: str, names: Mapping[str, str]) -> dict[str, Column] | None:
     """Return the columns of ``sum_rows`` of a parquet file, summed by DuckDB.
 
-    Truncated transitions are apart; of other columns there are least, largest and
-    number in each. It takes half of the time of the pieces. None where DuckDB cannot
-    compute them, which a look at the values will explain.
+    ``names``: the file's label of each column of a log. Truncated transitions are
+    apart; of other columns there are least, largest and number in each. It takes half
+    of the time of the pieces. None where DuckDB cannot compute them, which a look at
+    the values will explain.
     """
     import duckdb
 
-    key = [label for label in (*KEY, "truncated") if label in labels]
-    others = [label for label in labels if label not in key]
+    key = [label for label in (*KEY, "truncated") if label in names]
+    others = [label for label in names if label not in key]
     parts = [*key, "count(*) AS count"]
-    if "reward" in labels:
+    if "reward" in names:
         parts.append("coalesce(sum(reward), 0) AS reward_sum")
     for label in others:
         parts += [f"{how}({label}) AS {label}_{how}" for how in ("min", "max", "count")]
     selected = ", ".join(parts)
-    query = f"SELECT {selected} FROM {PARQUET} GROUP BY {', '.join(key)}"
+    renamed = ", ".join(
+        f"{quote_label(own)} AS {label}" for label, own in names.items()
+    )
+    source = f"(SELECT {renamed} FROM {PARQUET})"
+    query = f"SELECT {selected} FROM {source} GROUP BY {', '.join(key)}"
     with open_duckdb(path) as run:
         try:
             groups = run(query).fetchnumpy()
@@ -355,7 +356,7 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
 
 def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
-    """Yield the pieces of a parquet file."""
+    """Yield the pieces of a parquet file, whose columns are called ``labels``."""
     stored = _parquet_labels(path)
     columns = ", ".join(quote_label(stored[labels.index(label)]) for label in chosen)
     source = PARQUET.replace(")", ", file_row_number = true)")
@@ -719,9 +720,9 @@ def _read_blocks(
         return
     for frame in _call_pandas(blocks, **options):
         columns = {}
-        for label, k in places.items():
-            is_text = frame[k].dtype == "str"
-            column = frame[k].to_numpy(object if is_text else None)
+        for label, place in places.items():
+            is_text = frame[place].dtype == "str"
+            column = frame[place].to_numpy(object if is_text else None)
             if column.dtype.kind == "b" and KINDS.get(label) != "booleans":
                 blocks.is_odd = True  # its texts are lost
                 return

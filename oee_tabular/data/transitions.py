@@ -7,7 +7,7 @@ the recording only, and the task would have continued.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Never, Self
 
@@ -19,13 +19,13 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
+from oee_tabular.data.labels import ColumnsLike, suggest
 from oee_tabular.data.rules import (
     COLUMNS,
     MOVE,
     ColumnLike,
     as_objects,
     check_array,
-    suggest,
 )
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.exceptions import ArgumentError
@@ -227,15 +227,16 @@ class Transitions(LogColumns):
         frame: FrameLike,
         *,
         simulator: FiniteMDP | None = None,
-        state: str | Sequence[str] | None = None,
-        action: str | Sequence[str] | None = None,
-        next_state: str | Sequence[str] | None = None,
-        reward: str | None = None,
-        terminated: str | None = None,
-        truncated: str | None = None,
-        episode: str | None = None,
-        timestep: str | None = None,
-        behavior_probability: str | None = None,
+        columns: ColumnsLike | None = None,
+        state: Hashable | Sequence[Hashable] | None = None,
+        action: Hashable | Sequence[Hashable] | None = None,
+        next_state: Hashable | Sequence[Hashable] | None = None,
+        reward: Hashable | None = None,
+        terminated: Hashable | None = None,
+        truncated: Hashable | None = None,
+        episode: Hashable | None = None,
+        timestep: Hashable | None = None,
+        behavior_probability: Hashable | None = None,
         **others: Never,
     ) -> Self:
         """Make a log of a data frame of pandas, polars, arrow, or another library.
@@ -243,11 +244,17 @@ class Transitions(LogColumns):
         Parameters
         ----------
         frame : FrameLike
-            The frame, one transition a row, of any library that narwhals reads. Its
-            index, and columns that a log does not have, are left out.
+            The frame, one transition a row, of any library that narwhals reads. Levels
+            of its index that have names are columns; columns that a log does not have
+            are left out. Labels of other projects that mean one thing, such as
+            ``obs``, are read with a warning, and refused where they may mean two things, as ``done``.
         simulator : FiniteMDP, optional
             The model to whose names those of states and actions are matched at once.
             None means that the log keeps the names (``numbered``).
+        columns : mapping of str to str, optional
+            What the frame calls a log's columns, ``{"state": "place"}``. The keywords
+            below say the same; where both name a column, they must agree. None in place
+            of a name leaves the column out.
         state : str or sequence of str, optional
             The name of the column of states in the frame, ``"state"`` by default.
             Several names, ``["row", "column"]``, make tuples of their values, which are
@@ -311,13 +318,13 @@ class Transitions(LogColumns):
             "timestep": timestep,
             "behavior_probability": behavior_probability,
         }
-        columns = frame_columns(frame, column_names)
+        values = frame_columns(frame, column_names, columns)
         try:
-            log = cls(**columns)
+            log = cls(**values)
         except ValueError:
             # an unknown name says more than the episode that it breaks
             if simulator is not None:
-                cls(*(columns[label] for label in MOVE)).numbered(simulator, "frame")
+                cls(*(values[label] for label in MOVE)).numbered(simulator, "frame")
             raise
         return log if simulator is None else log.numbered(simulator, "frame")
 

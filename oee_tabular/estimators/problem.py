@@ -13,7 +13,8 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.data import TransitionCounts, Transitions, read_log
+from oee_tabular.data import TransitionCounts, Transitions, has_labels, read_log
+from oee_tabular.data.labels import ColumnsLike
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.rewards import (
@@ -92,6 +93,10 @@ class Problem:
         What is done with logged transitions whose simulator probability is 0. 'refuse'
         raises an error. 'drop' leaves them out of ``counts``; likelihood and guaranteed
         intervals then allow any next state for them (``inference.asymptotic``).
+    columns : mapping of str to str, optional
+        What the files or frames of ``log`` and ``episodes`` call a log's columns,
+        ``{"state": "pose_before"}`` (``Transitions.load``, ``Transitions.from_frame``).
+        It must be left out where both are anything else.
 
     Raises
     ------
@@ -150,6 +155,7 @@ class Problem:
         counts: SparseLike | None = None,
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
+        columns: ColumnsLike | None = None,
         _counts: SparseLike
         | None = None,  # dataclasses.replace passes every field by its name
     ) -> None:
@@ -161,10 +167,14 @@ class Problem:
             log = TransitionCounts.of(
                 _check_counts(log, simulator, may_drop=may_drop), simulator.n_actions
             )
-        recorded = read_log(log, simulator)
+        is_log_alone = episodes is None or has_labels(log)
+        recorded = read_log(log, simulator, columns=columns if is_log_alone else None)
         whole: Transitions | None = None
         if episodes is not None:
-            source = read_log(episodes, simulator, "episodes")
+            is_named = has_labels(episodes) or not has_labels(log)
+            source = read_log(
+                episodes, simulator, "episodes", columns if is_named else None
+            )
             whole = _checks.instance(source, Transitions, "episodes", "Transitions")
         _checks.one_of(rewards, "rewards", ("simulator", "log"))
         horizon = optional_horizon_length(horizon, simulator)

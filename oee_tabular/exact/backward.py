@@ -21,8 +21,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._compiling import njit
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _system, finite
 from oee_tabular.exact.reweighted import Model

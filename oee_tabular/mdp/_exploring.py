@@ -5,7 +5,8 @@ same numbers.
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._compiling import njit
 
 
 @njit(cache=True)

@@ -230,7 +230,9 @@ def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
 
 def _entries(value: Any, name: str, noun: str) -> Any:
     """Require a mapping or a list that is not empty."""
-    is_list = isinstance(value, Mapping | Sequence) and not isinstance(value, str | bytes)
+    is_list = isinstance(value, Mapping | Sequence) and not isinstance(
+        value, str | bytes
+    )
     if isinstance(value, np.ndarray):
         is_list = value.ndim > 0
     if not is_list or not len(value):
@@ -311,12 +313,14 @@ def _check_outcomes(
         weights.append(weight)
         is_single = is_single and isinstance(probability, np.float32)
         if weight > 0.0:
-            state, number, flag = _check_outcome(to, reward, terminated, place, n_states)
+            state, number, flag = _check_outcome(
+                to, reward, terminated, place, n_states
+            )
             found.append((s, a, state, weight, number, flag))
     total = math.fsum(weights)
     if abs(total - 1.0) <= _checks.SUM_TOLERANCE:
         return found
-    if is_single and abs(total - 1.0) <= _checks.SINGLE_TOLERANCE:
+    if is_single and abs(total - 1.0) <= _checks.SCALED_TOLERANCES[np.float32]:
         return [(*row[:3], row[3] / total, *row[4:]) for row in found]
     raise ArgumentError(
         name,
@@ -345,8 +349,7 @@ def _check_outcome(
     if flag is None:
         raise ArgumentError(
             place,
-            "must have True or False as terminated; it has"
-            f" {_checks.show(terminated)}",
+            f"must have True or False as terminated; it has {_checks.show(terminated)}",
         )
     return state, number, flag
 

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 from oee_tabular._sparse import find
 from oee_tabular.data.frames import eager, is_frame
-from oee_tabular.data.rules import MOVE, require_columns
+from oee_tabular.data.labels import require_columns
+from oee_tabular.data.rules import MOVE
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition

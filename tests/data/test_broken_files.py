@@ -218,19 +218,15 @@ def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
             "separated by commas; they are by tabs",
         ),
         (
-            "State,Action,Next State\n0,0,1\n",
-            "; write action for 'Action'; write next_state for 'Next State'",
-        ),
-        (
-            "State,action,next_state\n0,0,1\n",
-            r"it has State, action, next_state; write state for 'State'$",
-        ),
-        (
             "from,did,to\n0,0,1\n",
             (
-                r"it has from, did, to \(rename the columns that hold them; in Python,"
-                r" .*csv.\)\)$"
+                r"it has from, did, to \(say which column holds it: columns=\{'state':"
+                r" 'its label'\}, --column 'state=its label'\)$"
             ),
+        ),
+        (
+            "state,action,nxt_state\n0,0,1\n",
+            r"columns=\{'next_state': 'nxt_state'\}, --column next_state=nxt_state\)$",
         ),
     ],
 )
@@ -251,8 +247,8 @@ def test_what_a_table_of_another_program_must_change(tmp_path, text, hint):
             r"l\.csv' must have the columns state_0.*by semicolons",
         ),
         (
-            "State_0,Next_State_0,action\n1,2,0\n",
-            r"l\.csv' must have the columns state_0.*write state_0 for 'State_0'",
+            "from_0,to_0,action\n1,2,0\n",
+            r"l\.csv' must have the columns state_0.*--column state_0='its label'",
         ),
         (
             "state_0,state_999999999,next_state_0,action\n1,2,3,0\n",

@@ -19,6 +19,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
+from oee_tabular.exceptions import DataWarning
 
 NUMBERS = replace(
     oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0),
@@ -284,20 +285,17 @@ def test_several_columns_make_tuples():
     assert log.state.tolist() == [0, 3]  # 0.0 is 0
 
 
-def test_a_column_that_was_perhaps_meant_is_named_and_no_other():
+def test_labels_of_others_are_read_with_one_note_and_no_other_is_named():
     table = (
         frame()
-        .assign(rewards=1.0, note="x", Terminated=False)
-        .drop(columns=["reward", "terminated"])
+        .rename(columns={"reward": "rewards", "terminated": "Terminated"})
+        .assign(note="x")
     )
     with pytest.warns(
-        UserWarning,
-        match=(
-            r"are left out: 'rewards' \(is it reward\? Then reward='rewards'\),"
-            r" 'Terminated' \(is it t"
-        ),
-    ):
-        Transitions.from_frame(table)
+        DataWarning, match="reads 'rewards' as reward, 'Terminated' as terminated "
+    ) as told:
+        assert_same(Transitions.from_frame(table, simulator=MDP), NUMBERS)
+    assert len(told) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Transitions.from_frame(frame().assign(note="x", reward_2=1.0))

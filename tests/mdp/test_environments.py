@@ -189,11 +189,23 @@ def test_an_environment_s_own_error_is_the_cause(door):
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: gymnasium.make_vec("FrozenLake-v1", num_envs=3), "SyncVec.* steps 3 at"),
+        (
+            lambda: gymnasium.make_vec("FrozenLake-v1", num_envs=3),
+            "SyncVec.* steps 3 at",
+        ),
         (lambda: Line(actions=spaces.Discrete(2, start=1)), r"a \+ 1, .*Discrete\(2\)"),
-        (lambda: Line(actions=spaces.MultiDiscrete([2, 3])), r"\(2, 3\)\)\), .*te\(6\)"),
-        (lambda: Line(actions=spaces.MultiBinary(2)), r"must be Discrete, from 0; it is"),
-        (lambda: Line(actions=None), "env.action_space must be Discrete, from 0; it is N"),
+        (
+            lambda: Line(actions=spaces.MultiDiscrete([2, 3])),
+            r"\(2, 3\)\)\), .*te\(6\)",
+        ),
+        (
+            lambda: Line(actions=spaces.MultiBinary(2)),
+            r"must be Discrete, from 0; it is",
+        ),
+        (
+            lambda: Line(actions=None),
+            "env.action_space must be Discrete, from 0; it is N",
+        ),
         (
             lambda: Line(observations=spaces.Discrete(4, start=-2)),
             r"must not begin below 0; .* s \+ 2",
@@ -245,10 +257,15 @@ def test_booleans_and_integers_without_a_space_are_numbers():
         (lambda place: object(), "it gives <object"),
         (lambda place: place + 0.5, "it gives 0.5$"),
         (lambda place: b"a", "it gives b'a'$"),
-        (lambda place: place or "hall", "numbers alone or names alone .* after 'hall'$"),
+        (
+            lambda place: place or "hall",
+            "numbers alone or names alone .* after 'hall'$",
+        ),
     ],
 )
-def test_observations_that_are_no_states_are_refused_when_they_are_first_seen(see, text):
+def test_observations_that_are_no_states_are_refused_when_they_are_first_seen(
+    see, text
+):
     steps = []
     with pytest.raises(ArgumentError, match=text):
         sample(Line(see=see, observations=None, act=steps.append))
@@ -278,7 +295,9 @@ def test_episodes_that_never_end_need_max_steps(monkeypatch):
 def test_names_of_states_and_actions():
     named = sample(Line(), state_names=list("abcd"), action_names=["stay", "go"])
     assert named.state_names == ("a", "b", "c", "d")
-    assert_array_equal(named.transitions.toarray(), sample(Line()).transitions.toarray())
+    assert_array_equal(
+        named.transitions.toarray(), sample(Line()).transitions.toarray()
+    )
     texts = {"see": lambda place: "abcd"[place], "observations": None}
     reversed_ = sample(Line(**texts), state_names=list("xdcba"))
     assert reversed_.state_names == tuple("xdcba")
@@ -360,7 +379,10 @@ TABLES = [
     (Toy(0, 1, [(1.0, 0, "2", False)]), r"must have a finite reward; it has '2'"),
     (Toy(0, 1, [(1.0, 0, np.inf, False)]), r"must have a finite reward; it has inf"),
     (Toy(0, 1, [(1.0, 0, 0.0, None)]), r"True or False as terminated; it has None"),
-    (lacking(action=1), r"P\[1\] must have the actions 0..1; it lacks 1; .*\[1\]\[1\] ="),
+    (
+        lacking(action=1),
+        r"P\[1\] must have the actions 0..1; it lacks 1; .*\[1\]\[1\] =",
+    ),
     (lacking(state=0), r"P must have the states 0..0; it lacks 0; its keys are \[1\]"),
     (Toy(1, 2, [(1.0, 0, 0.0, False)]), r"the 2 actions 0..1 of every state; it has 3"),
     (Toy(P="table"), r"P must be a dict or list with an entry for each state"),
@@ -368,8 +390,14 @@ TABLES = [
     (Toy(observation_space=spaces.Discrete(3)), r"P must have the 3 states of env.obs"),
     (Toy(action_space=spaces.Discrete(3)), r"actions 0..2; it lacks 2"),
     (Toy(initial_state_distrib=[1.0]), r"^env.initial_state_distrib must have shape"),
-    (Toy(initial_state_distrib=[0.5, 0.4]), r"^env.initial_state_distrib must sum to 1"),
-    ("FrozenLake-v1", r"^env must be a Gymnasium environment; .*make\('FrozenLake-v1'\)"),
+    (
+        Toy(initial_state_distrib=[0.5, 0.4]),
+        r"^env.initial_state_distrib must sum to 1",
+    ),
+    (
+        "FrozenLake-v1",
+        r"^env must be a Gymnasium environment; .*make\('FrozenLake-v1'\)",
+    ),
     (Toy, r"got the class Toy \(make one: Toy\(\)\)"),
 ]
 

@@ -3,8 +3,8 @@ takes.
 """
 
 import json
-import re
 import math
+import re
 from typing import get_args
 
 import numpy as np

@@ -212,28 +212,58 @@ def test_under_the_uniform_policy_the_chain_does_not_depend_on_slip():
     ("call", "text"),
     [
         (lambda: cartpole_policy(weights=np.inf), "^weights must have 1 dimension"),
-        (lambda: cartpole_policy(weights=(1.0, np.nan, 0.0)), r"^weights\[1\] must be f"),
-        (lambda: cartpole_policy(weights="abc"), "^weights must be an array of numbers"),
+        (
+            lambda: cartpole_policy(weights=(1.0, np.nan, 0.0)),
+            r"^weights\[1\] must be f",
+        ),
+        (
+            lambda: cartpole_policy(weights="abc"),
+            "^weights must be an array of numbers",
+        ),
         (lambda: cartpole_policy(weights=(1.0, 2.0)), "^weights must be three numbers"),
         (lambda: reacher_policy(target=3.0), r"^target must be two finite numbers"),
-        (lambda: reacher_policy(target=(0.1, np.inf)), r"^target must be two finite num"),
+        (
+            lambda: reacher_policy(target=(0.1, np.inf)),
+            r"^target must be two finite num",
+        ),
         (lambda: reacher_policy(length="1"), r"^length must be a number; got '1'"),
         (lambda: reacher_policy(length=-1), r"^length must be in \[0, "),
         (lambda: reacher_policy(stiffness=np.nan), r"^stiffness must be in"),
         (lambda: Reacher(1e308), r"^length must be in \[0, "),
-        (lambda: HistoryTask(CartPole(), steps=np.zeros(2)), "^steps must be a positive"),
+        (
+            lambda: HistoryTask(CartPole(), steps=np.zeros(2)),
+            "^steps must be a positive",
+        ),
         (lambda: train_expert(task=[CartPole()]), "^task must be a CartPole; got list"),
-        (lambda: visited_states(CartPole(), [], 9, max_steps=9, seed=0), "^tasks must be"),
+        (
+            lambda: visited_states(CartPole(), [], 9, max_steps=9, seed=0),
+            "^tasks must be",
+        ),
         (
             lambda: visited_states([CartPole(), 3], [], 9, max_steps=9, seed=0),
             r"^tasks\[1\] must be a ContinuousTask; got int",
         ),
-        (lambda: discretize(CartPole(), others=3), "^others must be a sequence of cont"),
-        (lambda: discretize(CartPole(), policies=[3]), r"^policies\[0\] must be a funct"),
-        (lambda: gymnasium_simulator(["Pendulum-v1"]), "^spec must be a text; got list"),
+        (
+            lambda: discretize(CartPole(), others=3),
+            "^others must be a sequence of cont",
+        ),
+        (
+            lambda: discretize(CartPole(), policies=[3]),
+            r"^policies\[0\] must be a funct",
+        ),
+        (
+            lambda: gymnasium_simulator(["Pendulum-v1"]),
+            "^spec must be a text; got list",
+        ),
         (lambda: gymnasium_simulator("Pendulum-v1", state=3), "^state must be a text"),
-        (lambda: record_goals("arm"), "^arm must be a KinovaArm or KinovaHand; got str"),
-        (lambda: fit_hand(None), "^arm must be a KinovaArm or KinovaHand; got NoneType"),
+        (
+            lambda: record_goals("arm"),
+            "^arm must be a KinovaArm or KinovaHand; got str",
+        ),
+        (
+            lambda: fit_hand(None),
+            "^arm must be a KinovaArm or KinovaHand; got NoneType",
+        ),
         (lambda: gridworld(3, np.zeros(2)), "^slip must be a number"),
         (lambda: tandem("45"), "^size must be a positive integer; got '45'"),
         (lambda: tandem(1), "^size must be at least 2; it is 1"),
@@ -246,9 +276,7 @@ def test_parameters_that_no_task_has(call, text):
 
 
 def test_bounds_of_parameters():
-    log = record(
-        CartPole(), cartpole_policy(0.3), n_episodes=1, max_steps=20, seed=0
-    )
+    log = record(CartPole(), cartpole_policy(0.3), n_episodes=1, max_steps=20, seed=0)
     for bounds, text in (
         ([0.0, 1.0], "^bounds must map names of parameters to"),
         ({"gravity": 3.0}, r"^bounds\['gravity'\] must have 1 dimension"),

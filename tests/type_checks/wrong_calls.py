@@ -116,7 +116,7 @@ Transitions([0], [0], [0], "reward")  # wrong
 Transitions([0], [0], [0], rewards=[0])  # wrong
 Transitions.from_frame("log.csv")  # wrong
 Transitions.from_frame(frame, stat="a")  # wrong
-Transitions.from_frame(frame, state=3)  # wrong
+Transitions.from_frame(frame, columns=3)  # wrong
 Transitions.from_frame(frame, reward=["a", "b"])  # wrong
 Transitions.from_frame(frame, simulator="x")  # wrong
 Transitions.open("x", bad_rows="keep")  # wrong

@@ -1,0 +1,207 @@
+"""Labels that other projects give to the columns of a log.
+
+``ALIASES`` mean one thing, ``DOUBTS`` two or more, or one in another form. They are
+those of Gym, Gymnasium, Stable-Baselines3, RLlib, D4RL, d3rlpy, Minari, Tianshou,
+Spinning Up, TF-Agents, RLDS, LeRobot, robomimic, Acme, Open Bandit and SCOPE-RL, as
+``plain`` writes them.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+from oee_tabular.data.rules import MOVE, plain
+
+NUMBERED = re.compile(rf"({'|'.join(MOVE)})_(0|[1-9][0-9]{{0,8}})")
+
+# labels of other projects that mean one thing
+ALIASES = {
+    "state": (
+        "states s current_state cur_state state_id prev_state previous_state old_state"
+        " from_state obs observation observations ob obs_t state_t s_t current_obs"
+        " current_observation prev_obs previous_obs last_obs observation_state"
+    ),
+    "action": (
+        "actions a act acts action_id action_taken taken_action actions_taken action_t"
+        " a_t chosen_action"
+    ),
+    "next_state": (
+        "next_states state_next states_next new_state new_states next_state_id s_next"
+        " next_s s_prime sprime s' s2 sp s_ s1 s_tp1 state_prime state_tp1 to_state"
+        " successor successor_state next_obs next_ob obs_next new_obs obs_tp1 obs2"
+        " obs_prime next_observation next_observations observation_next"
+        " observations_next new_observation new_observations next_observation_state"
+    ),
+    "reward": "rewards r rew rews r_t reward_t rwd",
+    "terminated": (
+        "terminateds termination terminations terminate terminal terminals is_terminal"
+        " is_terminated terminal_flag terminal_flags"
+    ),
+    "truncated": (
+        "trunc truncs truncateds truncation truncations truncate is_truncated timeout"
+        " timeouts time_out time_outs is_timeout timed_out timelimit_truncated"
+        " time_limit_truncated time_limit_reached truncated_flag"
+    ),
+    "episode": (
+        "episodes episode_id episode_ids episode_index episode_idx episode_number"
+        " episode_num episode_no episode_nr episodes_id id_episode ep ep_id ep_index"
+        " ep_idx ep_num ep_no eps_id eps_idx traj traj_id traj_ids traj_index traj_idx"
+        " traj_num trajectory trajectory_id trajectory_ids trajectory_index"
+        " trajectory_idx trajectory_number rollout_id rollout_index demo_id demo_index"
+    ),
+    "timestep": (
+        "timesteps time_step time_steps episode_step episode_steps episode_timestep"
+        " step_in_episode ep_step elapsed_steps"
+    ),
+    "behavior_probability": (
+        "action_prob action_probability behavior_prob behavior_probs behaviour_prob"
+        " behaviour_probs behavior_action_prob behaviour_action_prob"
+        " behavior_policy_prob behaviour_policy_prob behavior_policy_probability"
+        " behaviour_policy_probability logging_prob logging_probability"
+        " logging_propensity propensity propensities propensity_score pscore"
+    ),
+}
+FIELDS = {
+    alias: field
+    for field, aliases in ALIASES.items()
+    for alias in (field, *aliases.split())
+}
+
+
+class Doubt(NamedTuple):
+    """Describe a label that may hold several columns, or one in another form.
+
+    ``fields``: the columns that it may hold as it stands. ``settled_by``: columns with
+    any set of which a log loses nothing without it.
+    """
+
+    fields: tuple[str, ...]
+    meaning: str
+    settled_by: tuple[frozenset[str], ...]
+
+
+END = Doubt(
+    ("terminated", "truncated"),
+    "may say that the task ended (terminated), or that the recording stopped"
+    " (truncated), or both",
+    (frozenset({"terminated"}),),
+)
+_OPPOSITE = Doubt(
+    (),
+    "may be the opposite of terminated, 1 while the task goes on: then write a column"
+    " terminated",
+    (frozenset({"terminated"}),),
+)
+_COUNTER = Doubt(
+    ("timestep",),
+    "may count from 0 in each episode (timestep), or through the whole recording",
+    (frozenset({"timestep"}), frozenset({"episode"})),
+)
+_TIME_OR_END = Doubt(
+    ("timestep", "terminated"),
+    "may be the time in an episode (timestep), or say that the task ended (terminated)",
+    (frozenset({"timestep", "terminated"}), frozenset({"episode", "terminated"})),
+)
+_START = Doubt(
+    (),
+    "marks where episodes begin: write a column episode that numbers them, its"
+    " cumulative sum",
+    (frozenset({"episode"}),),
+)
+_STEP_TYPE = Doubt(
+    (),
+    "marks where episodes begin and end: write a column episode that numbers them, and"
+    " terminated, true where the task ended",
+    (frozenset({"episode", "terminated"}),),
+)
+_LOGARITHM = Doubt(
+    (),
+    "is the logarithm of a probability: write a column behavior_probability of its"
+    " exponentials",
+    (frozenset({"behavior_probability"}),),
+)
+_PROBABILITY = Doubt(
+    ("behavior_probability",),
+    "may be the probability with which the recorded action was taken"
+    " (behavior_probability), or another one",
+    (frozenset({"behavior_probability"}),),
+)
+_REWARD = Doubt(
+    ("reward",),
+    "may be the reward of its own row, or that of the next one",
+    (frozenset({"reward"}),),
+)
+DOUBTS = {
+    label: doubt
+    for doubt, labels in (
+        (
+            END,
+            "done dones d is_done done_flag dones_float next_done next_dones finished"
+            " is_finished over is_over game_over gameover end ends ended is_end"
+            " episode_end episode_ended episode_ends end_of_episode episode_over"
+            " episode_done last is_last is_last_step last_step final is_final"
+            " terminated_or_truncated term terms",
+        ),
+        (
+            _OPPOSITE,
+            "not_done not_dones nonterminal nonterminals non_terminal non_terminals"
+            " not_terminal not_terminated mask masks continue continues cont discounts"
+            " discount",
+        ),
+        (
+            _COUNTER,
+            "step steps step_id step_index step_idx step_number step_num step_no"
+            " step_count frame frame_id frame_index frame_idx frame_number",
+        ),
+        (_TIME_OR_END, "t"),
+        (_START, "is_first first is_first_step first_step is_start is_reset"),
+        (_STEP_TYPE, "step_type next_step_type"),
+        (
+            _LOGARITHM,
+            "logp log_p logp_a log_prob logprob log_probs logprobs log_probability"
+            " log_probabilities log_pi logpi logp_pi old_logp old_log_prob old_log_probs"
+            " action_logp action_log_p action_logprob action_logprobs action_log_prob"
+            " action_log_probs action_log_probability log_prob_action log_action_prob"
+            " behavior_logp behavior_log_prob behavior_log_probs behavior_logprob"
+            " behavior_log_probability behaviour_logp behaviour_log_prob"
+            " behaviour_log_probs behaviour_logprob behaviour_log_probability"
+            " log_behavior_probability log_behaviour_probability log_propensity",
+        ),
+        (
+            _PROBABILITY,
+            "prob probs probability probabilities action_probs action_probabilities"
+            " policy_prob policy_probs policy_probability",
+        ),
+        (_REWARD, "next_reward next_rewards"),
+    )
+    for label in labels.split()
+}
+# what resembles a log's labels and is something else
+OTHER_WORDS = {
+    "timestamp",
+    "timestamps",
+    "time_stamp",
+    "behavior_policy",
+    "behaviour_policy",
+    "episodic",
+    "forward",
+}
+
+
+def stem(field: str) -> str:
+    """Return the column of a log of which a label holds all or one coordinate."""
+    match = NUMBERED.fullmatch(field)
+    return match[1] if match else field
+
+
+def find_field(label: Any, has_vectors: bool) -> str | None:
+    """Return the column, or its coordinate, that a label can only mean; else None."""
+    text = plain(label)
+    field = FIELDS.get(text)
+    if field is not None or not has_vectors:
+        return field
+    start, _, number = text.rpartition("_")
+    vector = FIELDS.get(start)
+    numbered = f"{vector}_{number}"
+    return numbered if NUMBERED.fullmatch(numbered) else None

@@ -1,0 +1,154 @@
+"""Values of options: a text that is a file's name as a whole, and values that the
+command does not use.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+import oee_tabular as oee
+
+SHORT = "--simulator sim.npz --log log.csv --quick --json"
+
+
+def values(run, *words):
+    """The policies and their values."""
+    made = json.loads(run("evaluate", SHORT, *words))
+    return {
+        row["policy"]: row["value"]
+        for row in made["results"]
+        if row["estimator"] == "oee"
+    }
+
+
+@pytest.fixture
+def policies(folder):
+    """Two policies in files, and their values."""
+    for name, action in (("a", 0), ("b", 2)):
+        np.save(f"{name}.npy", np.eye(4)[np.full(9, action)])
+    return folder
+
+
+@pytest.mark.parametrize("name", ["best=b.npy", "lr=0.1/b.npy", "x=y=b.npy", "=b.npy"])
+def test_a_file_of_the_whole_text_is_the_policy(run, policies, name):
+    (policies / name).parent.mkdir(exist_ok=True)
+    (policies / name).write_bytes((policies / "b.npy").read_bytes())
+    (policies / "b.npy").unlink()
+    (expected,) = values(run, f"--policy m=./{name}").values()
+    assert values(run, f"--policy {name}") == {name: expected}
+    assert values(run, f"--policy m={name} --policy m2=a.npy")["m"] == expected
+
+
+def test_two_files_that_may_be_meant_are_both_named(run, policies):
+    (policies / "best=a.npy").write_bytes((policies / "b.npy").read_bytes())
+    said = run("evaluate", SHORT, "--policy best=a.npy", code=2)
+    assert "--policy must be clear; 'best=a.npy' and 'a.npy' are files" in said
+    both = values(run, "--policy best=./a.npy --policy other=best=a.npy")
+    assert both["best"] == values(run, "--policy a.npy")["a.npy"]
+    assert both["other"] == values(run, "--policy b.npy")["b.npy"]
+
+
+def test_settings_are_no_files(run, folder):
+    words = "plan --simulator sim.npz --log log.csv --transitions 9 --policy uniform"
+    words = f"{words} --plan-option model=simulator --json"
+    expected = run(words)
+    (folder / "model=simulator").touch()
+    (folder / "simulator").touch()
+    assert run(words) == expected
+
+
+def test_a_page_in_a_folder_whose_name_has_a_sign(run, folder):
+    (folder / "lr=0.1").mkdir()
+    run("evaluate", SHORT, "--policy uniform --report lr=0.1/page.html")
+    run("evaluate", SHORT, "--policy uniform --report Title=page.html")
+    assert "Title" in (folder / "page.html").read_text()
+    assert (folder / "lr=0.1" / "page.html").is_file()
+    (folder / "0.1").mkdir()
+    said = run("evaluate", SHORT, "--policy uniform --report lr=0.1/page.html", code=2)
+    assert "--report must be clear; 'lr=0.1/page.html' and '0.1/page.html'" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "spec"),
+    [
+        ("mix:0.5.npy", "--policy {}"),
+        ("json:dumps.npy", "--policy {}"),
+        ("a,b.npy", "--policy {}"),
+        ("mix:0.5.npy", "--policy a.npy --behavior {}"),
+        ("b=a.npy", "--policy a.npy --behavior {}"),
+    ],
+)
+def test_names_of_policies_that_look_like_words(run, policies, name, spec):
+    (policies / name).write_bytes((policies / "a.npy").read_bytes())
+    (expected,) = values(run, "--policy a.npy").values()
+    assert next(iter(values(run, spec.format(name)).values())) == expected
+
+
+@pytest.mark.parametrize("name", ["json:sim.npz", "gridworld:3.npz", "a=b,c.npz"])
+def test_names_of_simulators_that_look_like_words(run, folder, name):
+    (folder / name).write_bytes((folder / "sim.npz").read_bytes())
+    assert "9 states" in run("info", name)
+    run(f"evaluate --simulator {name} --log log.csv --quick --estimators oee")
+
+
+@pytest.mark.parametrize("name", ["log[1].csv", "lo*.csv", "a=b.csv", "minari:x,y.csv"])
+def test_names_of_logs_that_look_like_patterns(run, folder, name):
+    expected = oee.Transitions.load("log.csv").describe()
+    (folder / "log1.csv").write_text("no log")
+    (folder / name).write_bytes((folder / "log.csv").read_bytes())
+    assert expected in run("info", f"'{name}'")
+    run(f"counts '{name}' --output counts.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("--action-noise=-0.1", "--action-noise must be in [0, 1]; it is -0.1"),
+        ("--action-noise=nan", "--action-noise must be in [0, 1]; it is nan"),
+        ("--policy mix:2", "--policy must be mix:WEIGHT with a weight in [0, 1]"),
+        ("--policy mix:nan", "--policy must be mix:WEIGHT with a weight in [0, 1]"),
+        ("--behavior mix:-1", "--behavior must be mix:WEIGHT"),
+        ("--quick --box 0.5,2", "--quick must be left out with --box"),
+        ("--quick --box 3,2", "--box must be LOWER,UPPER"),
+        ("--quick --horizon 0 --estimators oee", "--horizon must be a positive"),
+    ],
+)
+def test_errors_name_the_option(run, folder, words, text):
+    assert text in run("evaluate --simulator sim.npz --log log.csv", words, code=2)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("evaluate --quick --box 0.5", "--box must be LOWER,UPPER"),
+        (
+            "compare --simulator sim.npz --log log.csv --policy uniform --policy"
+            " optimal --quick --box 0.5,2",
+            "--quick must be left out with --box",
+        ),
+        (
+            "sample cartpole --episodes 1 --initial 0 --output s.npz",
+            "--initial must be left out for a continuous task",
+        ),
+        (
+            "sample cartpole --episodes 1 --discount 7 --output s.npz",
+            "--discount must be left out for a continuous task",
+        ),
+        (
+            "export gridworld:3,slip=0.3 --samples-per-pair 0 --output x.npz",
+            "--samples-per-pair must be a positive integer; it is 0",
+        ),
+        (
+            "export gridworld:3,slip=0.3 --action-noise=-1 --output x.npz",
+            "--action-noise must be in [0, 1]",
+        ),
+        ("reproduce --list --seeds 0", "--seeds must be left out with --list"),
+        ("reproduce --list --jobs 0", "--jobs must be left out with --list"),
+        ("reproduce --list --dask x:1", "--dask must be left out with --list"),
+        ("reproduce --list nothing", "ID must be left out with --list"),
+    ],
+)
+def test_values_that_are_not_used_are_refused(run, folder, words, text):
+    assert text in run(words, code=2)
+    assert not {"s.npz", "x.npz"} & {path.name for path in folder.iterdir()}
