@@ -292,6 +292,8 @@ def _float_kinds(given: Any, depth: int) -> set[type]:
         kinds: set[type] = set()
         for item in given:
             kinds |= _float_kinds(item, depth + 1)
+            if not kinds <= set(SCALED_TOLERANCES):
+                break  # one of double precision decides
         return kinds
     dtype = getattr(given, "dtype", None)
     if not isinstance(dtype, np.dtype):  # of torch, Arrow or pandas

@@ -8,8 +8,10 @@ that loses nothing, and is refused, with the remedy, where it does.
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
+from collections.abc import Mapping, Set
 from datetime import date, time, timedelta
 from decimal import Decimal
 from fractions import Fraction
@@ -23,6 +25,7 @@ from oee_tabular.exceptions import ArgumentError
 Index = tuple[int, ...]
 
 MAX_DEPTH = 64  # of lists in lists, the most dimensions of numpy's arrays
+MAX_SEQUENCE = 10**7  # items of what is a sequence by its methods alone
 MAX_SHOWN_LABELS = 3
 # types of single values, of which an array is made as it stands
 _PLAIN = {int, float, bool, complex, str, bytes, type(None), Decimal, Fraction, range}
@@ -96,6 +99,9 @@ def to_plain_array(
             return _plain_masked(inner, name, index, allow_missing)
         if inner is not value and type(inner) is not np.ndarray:
             return to_plain_array(inner, name, index, allow_missing=allow_missing)
+        if _is_sequence(inner):
+            items = _read_sequence(inner)
+            return to_plain_array(items, name, index, allow_missing=allow_missing)
         # an array of another class may come of this
         array = np.asanyarray(inner)
     except (ArgumentError, TypeError, ValueError):
@@ -114,6 +120,33 @@ def to_plain_array(
             return inner
         return _plain_objects(array, name, index, allow_missing)
     return array
+
+
+def _is_sequence(value: Any) -> bool:
+    """Say whether a value is a sequence by its methods alone, such as a deque."""
+    if isinstance(value, Mapping | Set | type) or not (
+        hasattr(value, "__getitem__") and hasattr(value, "__len__")
+    ):
+        return False
+    protocols = ("__array__", "__array_interface__", "__array_struct__")
+    if any(hasattr(value, protocol) for protocol in protocols):
+        return False
+    try:
+        memoryview(value)
+    except TypeError:
+        return True
+    return False  # it gives numpy its memory
+
+
+def _read_sequence(value: Any) -> list[Any]:
+    """Return the items of a sequence, which numpy would read beyond its length."""
+    length = len(value)
+    if length > MAX_SEQUENCE:
+        raise ValueError(f"a sequence of more than {MAX_SEQUENCE} items")
+    items = list(itertools.islice(iter(value), length + 1))
+    if len(items) != length:
+        raise ValueError("a sequence that has not as many items as it says")
+    return items
 
 
 def _is_missing(value: object) -> bool:

@@ -178,10 +178,13 @@ def to_plain(item: object, depth: int = 0) -> Any:
 
     [1] Unicode Standard Annex 15, form C.
     """
-    if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and not item.ndim):
+    # an array of another class may be masked, or have a unit
+    if isinstance(item, np.generic) or (type(item) is np.ndarray and not item.ndim):
         item = item.item()
     if isinstance(item, str):
         return normalize(item)
+    if isinstance(item, np.ndarray) and item.ndim == 0:  # masked, or with a unit
+        return item
     if isinstance(item, tuple | list | np.ndarray) and depth < MAX_NAME_DEPTH:
         return tuple(to_plain(part, depth + 1) for part in item)
     return item

@@ -494,8 +494,8 @@ def _single_integer(part: Any) -> int | None:
     if not hasattr(part, "__array__") or not hasattr(part, "dtype"):
         return None
     try:
-        array = np.asarray(part)
-    except Exception:  # another library's object
+        array = np.asarray(_checks.plain_array(part, "action"))
+    except ArgumentError:  # masked, or with a unit
         return None
     if array.size != 1 or array.dtype.kind not in "iu":
         return None
@@ -507,6 +507,8 @@ def _choice_row(
 ) -> Array:
     """Return an action, a mapping from actions to probabilities, or a row, as (A,)."""
     row = np.zeros(n_actions)
+    if hasattr(choice, "__array__") and type(choice) is not np.ndarray:
+        choice = _checks.plain_array(choice, name, "an action or a distribution")
     given = to_plain(choice)
     is_named = isinstance(choice, str | tuple) and _is_action(given, names)
     if isinstance(choice, Mapping):

@@ -2,6 +2,8 @@
 
 import inspect
 import warnings
+from array import array
+from collections import UserList, deque
 
 import numpy as np
 import pandas as pd
@@ -302,7 +304,22 @@ def self_holding_list():
     return items
 
 
+class Unending:
+    """A sequence whose items never end, whatever it says of its length."""
+
+    def __init__(self, length):
+        self.length = length
+
+    def __len__(self):
+        return self.length
+
+    def __getitem__(self, k):
+        return 0.5
+
+
 HOSTILE = [
+    Unending(2),
+    Unending(2**62),
     Raising(KeyError("x")),
     Raising(RuntimeError("\x1b[31mgrad")),
     Raising(MemoryError()),
@@ -334,6 +351,35 @@ def test_hostile_objects_are_refused_with_the_argument(value):
         with pytest.raises(ValueError, match=f"^{name}") as refused:
             function()
         assert str(refused.value).isprintable()
+
+
+def test_sequences_by_their_methods_are_arrays():
+    for reward in (deque([1.0, 2.0]), UserList([1.0, 2.0]), array("d", [1.0, 2.0])):
+        assert Transitions([0, 1], [0, 0], [1, 1], reward).reward.tolist() == [1, 2]
+    assert MDP.with_rewards(memoryview(R)).rewards.tolist() == R.tolist()
+
+
+def test_choices_of_a_policy_are_read_like_arrays():
+    row = np.array([0.25, 0.75])
+    fine = [np.ma.array(row), Quantity(row, ""), pd.Series(row), Lazy(row)]
+    for choice in fine:
+        found = oee.mdp.check_policy(lambda s, c=choice: c, MDP)
+        assert_array_equal(found, [row, row])
+    odd = [
+        masked_at_first(row),
+        np.ma.masked,
+        np.ma.array(1, mask=True),
+        (np.ma.array(1, mask=True), None),
+        row.view(InUnit),
+        Quantity(row),
+        pd.Series(row, index=["go", "stay"]),
+        {0: Quantity(0.25), 1: 0.75},
+        {0: np.ma.masked, 1: 1.0},
+    ]
+    for choice in odd:
+        for policy in (lambda s, c=choice: c, {0: choice, 1: 0}):
+            with pytest.raises(ValueError, match=r"^policy"):
+                oee.mdp.check_policy(policy, MDP)
 
 
 # ---- seeds
