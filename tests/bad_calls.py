@@ -293,6 +293,12 @@ from_env("FrozenLake-v1")  ->  env must be a Gymnasium environment; got str (gym
 from_env(make_environment("CartPole-v1"))  ->  env.observation_space must be discrete
 from_env(make_environment("Pendulum-v1"))  ->  env.action_space must be Discrete
 from_env(type("E", (), {"action_space": LAKE.action_space})())  ->  env must be a Gymnasium environment; got E
+from_env(type(LAKE))  ->  env must be a Gymnasium environment; got the class TimeLimit (make one: TimeLimit())
+from_env(LAKE, state_names=["a", "b"])  ->  state_names must have 16 names, one for each; it has 2
+from_env(LAKE, action_names=["a", "b", "c", "a"])  ->  action_names must differ; action_names[3] is 'a', as action_names[0] is
+from_env(LAKE, discount=2)  ->  discount must be in [0, 1]
+record_episodes("FrozenLake-v1", [0] * 16, n_episodes=1)  ->  env must be a Gymnasium environment; got str (gymnasium.make(
+record_episodes(make_environment("Blackjack-v1"), [0] * 16, n_episodes=1)  ->  env.observation_space must be Discrete; it is Tuple(...from_episodes
 GRID.with_support_of(LOG, 2)  ->  epsilon must be in (0, 1)
 GRID.with_support_of(pd.DataFrame({"state": [0]}), 0.1)  ->  log must be Transitions
 HALL.with_support_of(LOG, 0.1)  ->  log.state[...] must be in 0..2, the simulator's

@@ -161,7 +161,7 @@ def _as_mdp(
         return oee.FiniteMDP.from_env(
             made, samples_per_pair=samples, seed=0, discount=discount
         )
-    if not hasattr(made.unwrapped, "P"):
+    if not hasattr(getattr(made, "unwrapped", made), "P"):
         raise ValueError(
             f"simulator {spec!r} has no table P, so that it can only be sampled: oee"
             f" export {spec} --samples-per-pair 100 --output simulator.npz writes it by"

@@ -569,10 +569,13 @@ def discretize(
                 f" {floor}",
             )
     chosen = _choose_cells(process) if cells is None else cells
-    if isinstance(chosen, int | np.integer):
+    if isinstance(chosen, int | np.integer) and not isinstance(chosen, bool):
         chosen = VisitedCells(int(chosen))
     elif not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
-        chosen = GridInterpolation(chosen)
+        try:
+            chosen = GridInterpolation(chosen)
+        except ArgumentError as error:
+            raise ArgumentError("cells", error.rule) from None
     if isinstance(chosen, Discretization):
         places = chosen.places
     else:

@@ -197,6 +197,8 @@ class GymnasiumTask(ContinuousTask):
         self._set = set_state
         self._over = over
         self._reward_between = reward_between
+        if parameters is not None:
+            _checks.instance(parameters, dict, "parameters")
         self._parameters = dict(parameters or {})
         self._env = _make_one(make)
         reset_environment(self._env, 0)

@@ -132,10 +132,6 @@ def tandem(size: int = 45) -> Family:
     size = _checks.positive_integer(size, "size")
     if size < 2:
         raise ArgumentError("size", f"must be at least 2; it is {size}")
-
-    size = _checks.positive_integer(size, "size")
-    if size < 2:
-        raise ArgumentError("size", f"must be at least 2; it is {size}")
     _checks.require_memory(3000.0 * size * size, "size", size, size=1)
 
     def moves(
