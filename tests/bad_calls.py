@@ -298,7 +298,7 @@ from_env(LAKE, state_names=["a", "b"])  ->  state_names must have 16 names, one 
 from_env(LAKE, action_names=["a", "b", "c", "a"])  ->  action_names must differ; action_names[3] is 'a', as action_names[0] is
 from_env(LAKE, discount=2)  ->  discount must be in [0, 1]
 record_episodes("FrozenLake-v1", [0] * 16, n_episodes=1)  ->  env must be a Gymnasium environment; got str (gymnasium.make(
-record_episodes(make_environment("Blackjack-v1"), [0] * 16, n_episodes=1)  ->  env.observation_space must be Discrete; it is Tuple(...from_episodes
+record_episodes(make_environment("Blackjack-v1"), [0], n_episodes=1)  ->  env.observation_space must be Discrete; it is
 GRID.with_support_of(LOG, 2)  ->  epsilon must be in (0, 1)
 GRID.with_support_of(pd.DataFrame({"state": [0]}), 0.1)  ->  log must be Transitions
 HALL.with_support_of(LOG, 0.1)  ->  log.state[...] must be in 0..2, the simulator's
@@ -566,7 +566,7 @@ gridworld(10**6, 0.1)  ->  size must be small enough for this machine's memory; 
 named_task("FrozenLake-v1:success_rate=1/0")  ->  success_rate must be a finite number; '1/0' divides by 0
 named_task("gridworld:3,slip=.1,slip=.2")  ->  slip must be given once; '3,slip=.1,slip=.2' has it twice
 named_task("FrozenLake-v1:desc=x")  ->  environment 'FrozenLake-v1' does not take these arguments {'desc': 'x'}
-named_task("FrozenLake-v1:success_rate=7")  ->  environment 'FrozenLake-v1' with success_rate=7 is no finite MDP: transitions
+named_task("FrozenLake-v1:success_rate=7")  ->  environment 'FrozenLake-v1' with success_rate=7 is no finite MDP: env.P[0][0]
 
 # pictures
 plot_curves([0, 1], {})  ->  curves must hold at least one
@@ -675,8 +675,8 @@ evaluate_continuous(CartPole(), pole(), {"p": POLE}, horizon=9, history="all")  
 
 # continuous tasks as finite MDPs
 GridInterpolation(60)  ->  shape must be a tuple of positive integers; got 60
-cells((60, 1))  ->  shape must have at least 2 vertices ...; it is (60, 1)
-cells((60, 1.5))  ->  shape must be a positive integer; got 1.5
+cells((60, 1))  ->  cells must have at least 2 vertices ...; it is (60, 1)
+cells((60, 1.5))  ->  cells must be a positive integer; got 1.5
 cells((9, 9, 9))  ->  shape must have 2 numbers, one for each feature of CartPole (theta, theta_dot); it is (9, 9, 9)
 cells(GridInterpolation((9, 9), low=(0.0, 3.2)))  ->  high[1] must be above low[1], 3.2; it is 3.2
 cells(GridInterpolation((9, 9), low=(0.0, np.nan)))  ->  low[1] must be finite; it is nan

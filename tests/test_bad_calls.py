@@ -87,8 +87,8 @@ def broken():
     return matrix
 
 
-def from_env(env):
-    return FiniteMDP.from_env(env, samples_per_pair=1)
+def from_env(env, **more):
+    return FiniteMDP.from_env(env, samples_per_pair=1, **more)
 
 
 def density(**options):

@@ -569,7 +569,9 @@ def discretize(
                 f" {floor}",
             )
     chosen = _choose_cells(process) if cells is None else cells
-    if isinstance(chosen, int | np.integer) and not isinstance(chosen, bool):
+    if isinstance(chosen, bool):
+        raise ArgumentError("cells", f"must be a number or a grid; got {chosen}")
+    if isinstance(chosen, int | np.integer):
         chosen = VisitedCells(int(chosen))
     elif not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
         try:

@@ -324,9 +324,7 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
         def isatty(self):
             return True
 
-    from oee_tabular import _progress
-
-    monkeypatch.setattr(_progress, "SECONDS", 0.0)
+    monkeypatch.setattr("oee_tabular._progress.SECONDS", 0.0)
     shown = []
     for stream in (Terminal(), io.StringIO()):
         monkeypatch.setattr("sys.stderr", stream)
