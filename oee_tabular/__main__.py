@@ -33,8 +33,10 @@ def main() -> None:
         signal.signal(signal.SIGINT, _leave)
     _open_streams()
     from oee_tabular._isolation import ignore_settings
+    from oee_tabular._memory import limit_memory
 
     ignore_settings()
+    limit_memory()
     from oee_tabular.cli import main as command
 
     try:

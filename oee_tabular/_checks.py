@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import math
 import operator
 import os
 import reprlib
@@ -12,7 +10,6 @@ import sys
 import unicodedata
 import warnings
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +19,7 @@ from numpy.typing import NDArray
 from oee_tabular._containers import is_sparse as is_sparse
 from oee_tabular._containers import place as place
 from oee_tabular._containers import to_plain_array
+from oee_tabular._memory import free_memory
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, Seed
 
@@ -39,6 +37,7 @@ MAX_SEED_WORDS = 10_000  # 32-bit numbers of a seed, some milliseconds
 MAX_SEED_DEPTH = 8  # of sequences in sequences
 MAX_NESTED = 64  # lists in lists
 MAX_SHOWN_CHARACTERS = 300  # of a value in an error
+LEAST_ASKED_BYTES = 2**20  # less memory than this takes less time than asking for it
 MAX_SHOWN_ENTRIES = 12  # of an array; a larger one is shown by its shape
 _PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
 
@@ -486,6 +485,8 @@ def require_memory(
     ArgumentError; else (for a file that is read) it is a MemoryError.
     """
     needed = count * size
+    if needed < LEAST_ASKED_BYTES:
+        return
     free = free_memory()
     if needed <= free:
         return
@@ -497,20 +498,8 @@ def require_memory(
     raise ArgumentError(
         name,
         f"must be small enough for this machine's memory; {value} needs"
-        f" {needed / 2**30:.3g} GiB",
+        f" {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are free",
     )
-
-
-def free_memory() -> float:
-    """Return how many bytes a process can still take.
-
-    It is infinite where the system does not say.
-    """
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        return 1024.0 * int(
-            Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0]
-        )
-    return math.inf
 
 
 def optional_horizon(horizon: object) -> int | None:

@@ -19,11 +19,15 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from oee_tabular._isolation import begin_worker, safe_children
+from oee_tabular._memory import free_memory
 from oee_tabular.typing import Array
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
+# names of the errors by which loky and dask report a dead worker
+DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
+BYTES_PER_WORKER = 0.25 * 2**30  # of libraries alone, measured
 CONNECT = 5.0  # seconds to wait for a dask scheduler
 WATCH = 0.5  # seconds between two looks of a worker at its parent
 
@@ -209,6 +213,16 @@ def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
 
     most = joblib.cpu_count() if jobs == -1 else jobs
     n_jobs = -1 if dask else min(most, max(number, 2))
+    if n_jobs > 1:
+        fitting = int(free_memory() / BYTES_PER_WORKER)
+        if jobs == -1:
+            n_jobs = min(n_jobs, max(fitting, 1))
+        elif fitting < n_jobs:
+            raise MemoryError(
+                f"{n_jobs} processes need {n_jobs * BYTES_PER_WORKER / 2**30:.3g} GiB"
+                f" of memory or more; {free_memory() / 2**30:.3g} GiB are free (--jobs"
+                f" {max(fitting, 1)})"
+            )
     return joblib.Parallel(n_jobs=n_jobs, batch_size=1, **options)
 
 
@@ -229,9 +243,17 @@ def each(
         return
     import joblib
 
-    with backend(jobs, dask):
-        tasks = (joblib.delayed(function)(*call) for call in calls)
-        yield from parallel(number, jobs, dask, return_as="generator")(tasks)
+    try:
+        with backend(jobs, dask):
+            tasks = (joblib.delayed(function)(*call) for call in calls)
+            yield from parallel(number, jobs, dask, return_as="generator")(tasks)
+    except Exception as error:
+        if type(error).__name__ not in DEATHS:
+            raise
+        raise RuntimeError(
+            "a worker process was killed, perhaps for lack of memory (fewer jobs need"
+            " less)"
+        ) from error
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from oee_tabular import _progress
+from oee_tabular._memory import require_room
 from oee_tabular.cli import files, values
 from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
@@ -53,6 +54,7 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; in an error, an argument gets the name of its option."""
+        require_room()
         try:
             return super().invoke(ctx)
         except ArgumentError as error:

@@ -36,7 +36,7 @@ import pandas as pd
 from oee_tabular import _files
 from oee_tabular._arguments import own_module_first, own_modules
 from oee_tabular._checks import show
-from oee_tabular._parallel import backend, parallel
+from oee_tabular._parallel import DEATHS, backend, parallel
 from oee_tabular._progress import progress_bar
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import (
@@ -431,8 +431,6 @@ def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
 # ---- the runner
 
 MAX_ATTEMPTS = 3  # of a cell whose worker died
-# names of the errors by which loky and dask report a dead worker
-DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 
 
 def run_and_write(
