@@ -1,19 +1,26 @@
 """Hostile values for every public function: python tests/fuzz_calls.py [--seed 0]
 [--calls 20000] [--rooms mdp,exact].
 
-Functions, classes and their public methods are found by inspection; from a call that
-works one argument (sometimes two) is replaced. What is wrong: an exception that is not
-raised by the package itself or does not name an argument, a message that is long or
-holds control characters, a call of more than five seconds of CPU, the death of the
-process, a result with nan and without a warning. The calls are made in a child process;
-where it dies or hangs another takes its place. ``--only K`` makes the K-th call here,
-with its traceback. Exit code 1 where something is wrong.
+Functions, classes, their public methods and operators (``==``, ``in``, ``[]``) are found
+by inspection; from a call that works one argument (sometimes two) is replaced. What is
+wrong: an exception that is not raised by the package itself or does not name an
+argument, a message that is long or holds control characters, a call of more than five
+seconds of CPU, the death of the process, a result with nan and without a warning. A
+result that a constructor accepts is used: its texts, ``==``, hash, copies, pickles,
+properties and methods without arguments; what raises there is "later". The calls are
+made in a child process; where it dies or hangs another takes its place. ``--only K``
+makes the K-th call here, with its traceback. Exit code 1 where something is wrong.
 """
 
 import argparse
+import contextlib
+import copy
 import dataclasses
+import functools
 import inspect
+import operator
 import os
+import pickle
 import re
 import reprlib
 import sys
@@ -25,7 +32,7 @@ from collections import Counter
 
 import numpy as np
 from fuzz_child import Child
-from fuzz_values import hostile, valid_values
+from fuzz_values import Spite, SpiteOfText, hostile, valid_values
 from scipy import sparse
 
 import oee_tabular as oee
@@ -36,13 +43,26 @@ OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 # whose arguments have valid values of their own
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")
-INNER = {  # methods that the package calls, after its checks: of objects of these rooms
-    "tasks": "all",
-    "bench": "all",
-    "testing": "all",
-    "estimators": ("estimate", "fit", "limit_of", "limit_model"),
-    "ratio": ("limit",),
+# methods that the package calls, after its checks: of objects of these rooms
+INNER = {
+    "tasks": (
+        *(name for name in vars(oee.tasks.ContinuousTask) if name[0] != "_"),
+        *("advance", "beyond", "command", "costs", "distance", "log", "one_by_one"),
+        *("own", "places", "play", "policy", "read", "resampled", "tamed", "towards"),
+        *("GymnasiumTask.record", "GymnasiumTask.with_environment"),
+        "Discretization.displacement_ties",  # has no argument
+    ),
+    "estimators": (
+        *("estimate", "fit", "limit_of", "limit_model"),
+        # which always refuse
+        *("clear", "pop", "popitem", "setdefault", "update"),
+    ),
+    "ratio": ("limit", "Method.fit"),
 }
+# calls of objects that a task makes for each of its steps, after its checks
+STEPS = ("cartpole_policy", "kinova_policy", "reacher_policy")
+# the paper's formulas, which say themselves that they check nothing
+UNCHECKED = ("paper", "typing")
 ALIASES = {  # words of the command line, which the same errors serve
     "identifier": ("environment",),
     "spec": ("environment", "simulator"),
@@ -65,23 +85,31 @@ OF_THE_ARM = {"fit_hand", "record_goals", "hand_log", "load_kinova_log", "Kinova
 
 
 def is_called(value):
-    """Whether people call it: a function, or a class that is not abstract."""
+    """Whether people call it: a function, or a class that is not abstract, nor an error
+    that has Python's constructor.
+    """
     return inspect.isfunction(value) or (
         inspect.isclass(value)
         and not inspect.isabstract(value)
         and not getattr(value, "_is_protocol", False)
+        and not (issubclass(value, Exception) and not from_package(value, "__init__"))
     )
+
+
+def rooms_of_package():
+    """Name -> public module, the package itself first."""
+    return {"top": oee} | {
+        name: getattr(oee, name)
+        for name in oee.__all__
+        if inspect.ismodule(getattr(oee, name)) and name not in UNCHECKED
+    }
 
 
 def functions(known, rooms=None):
     """Name -> function, of the public modules, with classes' methods bound to valid
     objects; none is left out.
     """
-    modules = {"top": oee} | {
-        name: getattr(oee, name)
-        for name in oee.__all__
-        if inspect.ismodule(getattr(oee, name)) and name != "exceptions"
-    }
+    modules = rooms_of_package()
     every = {}
     for room in rooms or modules:
         for name in filter(
@@ -93,8 +121,12 @@ def functions(known, rooms=None):
             # two classes of one name
             key = name if every.get(name, value) is value else f"{room}.{name}"
             every[key] = value
-            if key in known["holders"] and INNER.get(room) != "all":
-                every |= methods(key, value, known["holders"][key], INNER.get(room, ()))
+            if inspect.isclass(value):
+                holder = known["holders"].get(key)
+                if holder is None:
+                    holder = call(value, arguments_of(key, value, known))
+                inner = INNER.get(room, ())
+                every |= methods(key, value, holder, inner) | operators(key, holder)
     return every
 
 
@@ -104,10 +136,17 @@ def methods(name, kind, holder, inner):
     """
     bound = {}
     for attribute in dir(kind):
+        # of errors and dicts those of Python are left out
+        if not from_package(kind, attribute):
+            continue
         named = attribute[0] != "_" or (
-            attribute == "__call__" and not issubclass(kind, type)
+            attribute == "__call__"
+            and not issubclass(kind, type)
+            and name not in STEPS
         )
-        if named and attribute not in inner and callable(getattr(kind, attribute)):
+        if {attribute, f"{name}.{attribute}"} & {*inner}:
+            continue
+        if named and callable(getattr(kind, attribute)):
             static = isinstance(
                 inspect.getattr_static(kind, attribute), classmethod | staticmethod
             )
@@ -115,6 +154,36 @@ def methods(name, kind, holder, inner):
                 kind if static else holder, attribute
             )
     return {key: value for key, value in bound.items() if callable(value)}
+
+
+def from_package(kind, attribute):
+    """Whether a class of the package defines the attribute, or a function of it does."""
+    owner = next(c for c in kind.__mro__ if attribute in vars(c))
+    return owner.__module__.startswith("oee_tabular")
+
+
+def operators(name, holder):
+    """``==`` with a valid object, and ``in`` and ``[]`` where there are."""
+    bound = {f"{name}.__eq__": lambda operand: holder.__eq__(operand)}
+    for attribute, function in (
+        ("__contains__", operator.contains),
+        ("__getitem__", operator.getitem),
+    ):
+        kind = type(holder)
+        if hasattr(kind, attribute) and from_package(kind, attribute):
+            bound[f"{name}.{attribute}"] = functools.partial(at, function, holder)
+    return bound
+
+
+def at(function, holder, operand):
+    """The item, or whether there is one; keys that are none are Python's errors."""
+    with contextlib.suppress(KeyError, IndexError):
+        try:
+            return function(holder, operand)
+        except TypeError as error:
+            if "unhashable" not in str(error):  # no key, which Python says
+                raise
+    return None
 
 
 def arguments_of(name, function, known):
@@ -217,6 +286,10 @@ def judged(function, values, replaced):
             result = call(function, values)
         except Exception as error:
             return refusal(error, values, replaced)
+        if replaced and inspect.isclass(function):
+            text = used(result)
+            if text:
+                return "later", text
     silent = not (
         inspect.isclass(function) or getattr(function, "__name__", "") in BLANK
     )  # a class keeps what it is given
@@ -229,16 +302,73 @@ def judged(function, values, replaced):
     return "accepted", ""
 
 
+def used(result):
+    """What raises where an object is used that a constructor accepted; "" if nothing."""
+    kind = type(result)
+    for what, use in USES.items():
+        try:
+            use(result)
+        except (Spite, copy.Error, pickle.PicklingError, RecursionError):
+            continue  # of what it holds
+        except Exception as error:
+            # an object that it holds cannot be hashed or copied, which Python says
+            if what in ("hash", "copy", "pickle") and isinstance(
+                error, TypeError | AttributeError | NotImplementedError
+            ):
+                continue
+            return f"{what}: {type(error).__name__}: {error}"
+    skipped = {*SKIPPED, *INNER["estimators"], *INNER["tasks"]}
+    for name in dir(kind):
+        if name[0] == "_" or not from_package(kind, name) or name in skipped:
+            continue
+        static = inspect.getattr_static(kind, name)
+        try:
+            if isinstance(static, property | functools.cached_property):
+                getattr(result, name)
+            elif inspect.isfunction(static) and not any(
+                p.default is p.empty and p.kind is not p.VAR_KEYWORD
+                for p in list(inspect.signature(static).parameters.values())[1:]
+            ):
+                getattr(result, name)()
+        except Spite:
+            continue
+        except Exception as error:
+            if isinstance(error, OURS) and raised_here(error):
+                continue
+            return f"{name}: {type(error).__name__}: {error}"
+    return ""
+
+
+USES = {
+    "repr": repr,
+    "str": str,
+    "html": lambda result: getattr(type(result), "_repr_html_", repr)(result),
+    "==": lambda result: bool(result == copy.copy(result)),
+    "hash": hash,
+    "copy": copy.copy,
+    "pickle": lambda result: pickle.loads(pickle.dumps(result)),
+}
+# methods without arguments that show pictures or take long
+SKIPPED = ("plot", "discretize", "closure_error", "mix")
+
+
+def raised_here(error):
+    """Whether the package raised an error itself."""
+    last = traceback.extract_tb(error.__traceback__)[-1].filename
+    return last.startswith(PACKAGE)
+
+
 def refusal(error, values, replaced):
     """The kind of an exception: "refused" where the package raised it, named an
     argument and was short.
     """
     text = f"{type(error).__name__}: {error}"
-    if any(callable(values[name]) for name in replaced):
-        return "refused", text  # perhaps the hostile function's own
-    last = traceback.extract_tb(error.__traceback__)[-1].filename
+    if isinstance(error, SpiteOfText):
+        return "raw", text
+    if isinstance(error, Spite) or any(callable(values[name]) for name in replaced):
+        return "refused", text  # perhaps the hostile object's own
     if not isinstance(error, OURS) or not (
-        last.startswith(PACKAGE) or isinstance(error, OSError | ImportError)
+        raised_here(error) or isinstance(error, OSError | ImportError)
     ):
         return "raw", text
     if len(text) > LONGEST:
@@ -253,6 +383,7 @@ def refusal(error, values, replaced):
 WRONG = (
     "nameless",
     "raw",
+    "later",
     "long",
     "control",
     "nan",
@@ -323,23 +454,20 @@ def shown(value):
         return type(value).__name__
 
 
-def fuzz(seed, seconds, calls=None, rooms=None, first=0):
-    """Counts by kind, and what was wrong: (kind, call, text). The time of the first
-    call, which compiles, is not counted.
+def fuzz(seed, calls, rooms=None, first=0, limit=90.0):
+    """Counts by kind, and what was wrong: (kind, call, text).
+
+    limit : seconds for a call; None waits
     """
-    child = Child(90.0, attack, seed, rooms)
+    child = Child(limit, attack, seed, rooms)
     counts = Counter()
     wrong = []
-    k = first
-    end = float("inf")
-    while time.monotonic() < end and (calls is None or k < first + calls):
+    for k in range(first, first + calls):
         answer = child.ask(k)
         said, kind, text = (f"[{k}]", answer, "") if isinstance(answer, str) else answer
-        end = min(end, time.monotonic() + seconds)
         counts[kind] += 1
         if kind in WRONG:
             wrong.append((kind, said, text))
-        k += 1
     child.end()
     return counts, wrong
 
@@ -347,7 +475,6 @@ def fuzz(seed, seconds, calls=None, rooms=None, first=0):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--calls", type=int, default=20_000)
     parser.add_argument("--rooms", type=lambda text: text.split(","), default=None)
     parser.add_argument("--only", type=int)
@@ -367,7 +494,7 @@ def main():
         )
         print(shown(call(every[name], values)))
         return 0
-    counts, wrong = fuzz(given.seed, given.seconds, given.calls, given.rooms)
+    counts, wrong = fuzz(given.seed, given.calls, given.rooms)
     for kind, said, text in wrong:
         print(f"{kind:9}{said}\n         {text[:240]}")
     print(f"{sum(counts.values())} calls: {dict(counts)}")

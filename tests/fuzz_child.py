@@ -11,7 +11,7 @@ class Child:
     """``target(pipe, *arguments)`` in a process of its own, which receives questions
     and sends answers.
 
-    limit : seconds for an answer but the first
+    limit : seconds for an answer but the first; None waits as long as it takes
     """
 
     def __init__(self, limit, target, *arguments):
@@ -28,7 +28,7 @@ class Child:
         )
         self.process.start()
         other.close()
-        self.wait = START
+        self.wait = None if self.limit is None else START
 
     def ask(self, question):
         """The answer, or "death" or "hang"."""

@@ -2,10 +2,19 @@
 hostile ones.
 """
 
+import array
+import collections
 import contextlib
+import datetime
+import enum
 import functools
 import importlib.util
+import io
+import pathlib
+import re
 import tempfile
+import types
+import uuid
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -31,6 +40,80 @@ class Raises:
 
     def __call__(self, *_, **__):
         return "no"
+
+
+class Spite(Exception):
+    """What a hostile object raises: of its own, and no error of the package."""
+
+
+class SpiteOfText(Exception):
+    """What it raises where it is written: no error may need its text."""
+
+
+def spiteful(*names, kind=object, error=Spite, **fields):
+    """An object whose methods of these names raise."""
+
+    def fail(*_, **__):
+        raise error("no")
+
+    return type("Spiteful", (kind,), {**dict.fromkeys(names, fail), **fields})()
+
+
+class Quantity:
+    """Numbers with a unit, as pint and astropy have them."""
+
+    def __init__(self, magnitude, unit):
+        self.magnitude = self.value = magnitude
+        self.units = self.unit = unit
+        self.shape = np.shape(magnitude)
+        self.dtype = np.asarray(magnitude).dtype
+        self.ndim = len(self.shape)
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.magnitude, dtype=dtype)
+
+    def __len__(self):
+        return len(self.magnitude)
+
+    def __getitem__(self, key):
+        return Quantity(self.magnitude[key], self.unit)
+
+    def __repr__(self):
+        return f"{self.magnitude} {self.unit}"
+
+
+class Fresh:
+    """A hostile value that a call uses up, or changes: each call has its own."""
+
+    def __init__(self, make):
+        self.make = make
+
+
+def circle():
+    """A list that contains itself."""
+    value = [0]
+    value.append(value)
+    return value
+
+
+def circle_of_dicts():
+    """A dict that contains itself."""
+    value = {}
+    value["a"] = value
+    return value
+
+
+def array_with_itself():
+    """An array of objects that contains itself."""
+    value = np.empty(2, dtype=object)
+    value[0] = value
+    return value
+
+
+def endless():
+    """A generator that raises after a while."""
+    yield from range(5)
+    raise Spite("no more")
 
 
 @functools.cache
@@ -117,6 +200,12 @@ def valid_values():
         "next_state": [1, 2],
         "reward": [0.0, 1.0],
         "count": [3, 1],
+        "operand": 1.0,
+        "figure": Figure(),
+        "about": {"machine": "a chain"},
+        "command": "oee bench",
+        "factor": 0.5,
+        "key": "coverage",
         "transitions": target.transitions,
         "rewards": np.zeros((9, 4)),
         "initial": target.initial,
@@ -257,6 +346,7 @@ def results(values, problem, policies, target, simulator):
         *estimators,
         oee.ratio.InClass(features=np.arange(120) % 3.0),
         oee.tasks.gymnasium_simulator("Pendulum-v1"),
+        oee.tasks.embedded_default(seed=0),
     ]
 
 
@@ -426,7 +516,45 @@ def own_values(known):
             "jobs": 1,
         },
         "Finding.sentence": {"figure": "x"},
+        "ArgumentError": {"argument": "x", "rule": "must be y"},
+        "UnknownKeywordError": {
+            "function": "f",
+            "keyword": "x",
+            "nearest": None,
+            "known": ["y"],
+        },
         "Comparison.bounds": {"one": "uniform", "other": "expert"},
+    }
+    pair = known["holders"]["Case"]
+    own |= {
+        "Case.logs": {"repetitions": 2},
+        "Case.problem_of": {"log": pair.log(20, seed=0)},
+        "Case.relabelled": {
+            "states": np.arange(pair.simulator.n_states),
+            "actions": np.arange(pair.simulator.n_actions),
+        },
+        "Case.with_rewards": {"scale": 2.0, "shift": 1.0},
+        "Verdicts.__getitem__": {"operand": "limit"},
+    }
+    cells = known["holders"]["Discretization"]
+    counts = cells.counts(moves)
+    own |= {
+        "Discretization.counts": {"log": moves},
+        "Discretization.encode": {"log": moves},
+        "Discretization.encode_states": {"states": moves.state},
+        "Discretization.fit_weights": {"counts": cells.supported(counts)[0]},
+        "ContinuousSimulator.record": {
+            "policy": first_action,
+            "n_transitions": 20,
+        },
+        "Discretization.supported": {"counts": counts},
+        "Discretization.mixture": {"weights": [1.0]},
+        "Discretization.policy": {"policy": driver},
+        "Discretization.policy_function": {"table": np.full((9, 2), 0.5)},
+        "Discretization.with_transitions": {
+            "transitions": cells.mdp.transitions,
+            "rewards": None,
+        },
     }
     return files | plots_values(known) | task_values(known) | arm_values() | own
 
@@ -504,6 +632,11 @@ def arm_values():
 
 def make_cartpole():
     return oee.tasks.make_environment("CartPole-v1")
+
+
+def first_action(states):
+    """The first of 9 actions, whatever the states are."""
+    return np.eye(9)[np.zeros(len(states), dtype=int)]
 
 
 def get_state(env):
@@ -617,6 +750,58 @@ def nested(depth):
     return value
 
 
+PROTOCOL = (
+    "__array__",
+    "__len__",
+    "__iter__",
+    "__eq__",
+    "__bool__",
+    "__hash__",
+    "__float__",
+    "__index__",
+    "__int__",
+    "__getitem__",
+    "__contains__",
+    "__fspath__",
+    "__getattr__",
+    "__lt__",
+    "__format__",
+)
+
+
+@functools.cache
+def others():
+    """Results of another problem: of other sizes, with names, or without rewards."""
+    pair = oee.testing.case("ragged")
+    problem = pair.problem(40, seed=0)
+    named = pair.simulator.with_names(
+        state_names=[f"s{k}" for k in range(pair.simulator.n_states)]
+    )
+    policies = {"a": pair.policy, "b": pair.behavior}
+    return (
+        pair,
+        problem,
+        problem.log,
+        problem.counts,
+        pair.policy,
+        named,
+        oee.transition_ratio(problem.log, pair.simulator),
+        oee.interval(problem, pair.policy),
+        oee.return_moments(pair.target, pair.policy, horizon=5, sources=True),
+        oee.inference.compare_policies(problem, policies, n_draws=20),
+        oee.evaluate(problem, policies, quick=True),
+        oee.plan_data_collection(problem, pair.policy, n=5),
+        oee.sample_returns(pair.target, pair.policy, 3, 5, seed=0),
+        oee.Estimate(float("nan"), status="no"),
+        oee.Estimate(np.inf, 0.0, (-np.inf, np.inf), {"x": [1]}),
+        [oee.Estimate(1.0)] * 2,
+        {"a": oee.Estimate(1.0)},
+        oee.tasks.CartPole(),
+        oee.tasks.Reacher(),
+        oee.estimators.Diagnostics(coverage="x"),
+    )
+
+
 @functools.cache
 def general():
     """Hostile values for any argument."""
@@ -673,7 +858,129 @@ def general():
         [object()],
         range(3),
         slice(None),
-        iter([1]),
+        Fresh(lambda: iter([1])),
+        Fresh(endless),
+        Fresh(circle),
+        Fresh(circle_of_dicts),
+        Fresh(array_with_itself),
+        Fresh(lambda: (k for k in range(9))),
+        Fresh(lambda: map(str, range(9))),
+        Fresh(lambda: {0: 1}.items()),
+        *(spiteful(name) for name in PROTOCOL),
+        spiteful("__repr__", "__str__", "__format__", error=SpiteOfText),
+        spiteful("__repr__", "__str__", kind=float, error=SpiteOfText),
+        spiteful("__repr__", "__str__", kind=str, error=SpiteOfText),
+        spiteful("__iter__", "keys", "items", kind=dict),
+        spiteful("__eq__", "__bool__", shape=(9, 4), dtype=np.dtype(float)),
+        [spiteful("__repr__", "__str__", "__format__", error=SpiteOfText)] * 9,
+        {"a": spiteful("__repr__", "__str__", "__format__", error=SpiteOfText)},
+        Quantity(np.ones(9), "m"),
+        Quantity(0.5, "s"),
+        Quantity(np.full((9, 4), 0.25), "kg"),
+        np.ma.masked_array(np.full((9, 4), 0.25), mask=np.eye(9, 4, dtype=bool)),
+        np.ma.masked_array(np.arange(9), mask=np.arange(9) == 3),
+        np.ma.masked_array(["a", "b"], mask=[True, False]),
+        np.matrix(np.full((9, 4), 0.25)),
+        np.matrix([0]),
+        np.zeros(9).view(np.recarray),
+        np.rec.array([(1, 2.0)], dtype=[("state", int), ("action", float)]),
+        np.array("x"),
+        np.array(None),
+        np.array(True),
+        np.array({"a": 1}),
+        np.zeros((9, 4), dtype=np.float16),
+        np.full((9, 4), 0.25, dtype=np.longdouble),
+        np.full((4, 9), 0.25).T,
+        np.zeros((9, 0)),
+        np.zeros((0, 4)),
+        np.array([b"a", b"b"]),
+        np.array([Decimal("0.5")] * 9),
+        np.array([Fraction(1, 2)] * 9),
+        np.array(["1e999", "nan"]),
+        np.intp(-1),
+        np.int64(-(2**63)),
+        np.float32("nan"),
+        np.str_(""),
+        np.datetime64("2020-01-01"),
+        np.dtype(float),
+        np.float64,
+        Decimal("1e9999"),
+        Decimal("sNaN"),
+        Fraction(10**400, 3),
+        complex("nan"),
+        "\ud800",
+        ["\ud800", "b"],
+        {"\ud800": 1.0},
+        "\u202egnp.exe",
+        "\x00",
+        "\n" * 300,
+        "a\nb",
+        "{}",
+        "{0}%s",
+        " ",
+        "None",
+        "NaN",
+        "é",
+        "$\\frac{",
+        "<script>alert(1)</script>",
+        bytearray(b"ab"),
+        frozenset([1]),
+        {None: None},
+        {1: 2, "1": 3},
+        {(0, 1): 0.5},
+        {0: 1.0, 1: {2: 0.5}},
+        {np.nan: 1},
+        {b"a": 1},
+        {True: False},
+        types.MappingProxyType({"a": 1.0}),
+        types.SimpleNamespace(n_states=9, n_actions=4),
+        collections.OrderedDict(a=1),
+        collections.Counter("abc"),
+        collections.deque([1, 2]),
+        collections.namedtuple("Pair", "a b")(1, 2),
+        array.array("d", [0.5]),
+        datetime.date(2020, 1, 1),
+        datetime.timedelta(1),
+        uuid.UUID(int=1),
+        io.BytesIO(b"x"),
+        io.StringIO("state,action,next_state"),
+        re.compile("x"),
+        enum.Enum("Colour", "red"),
+        Path("."),
+        Path("/dev/null"),
+        Path("/"),
+        Path("x" * 300 + ".csv"),
+        pathlib.PurePosixPath("a/b.npz"),
+        object,
+        type,
+        np.ndarray,
+        dict,
+        oee.FiniteMDP,
+        oee.Transitions,
+        oee.Estimate,
+        oee.Report,
+        oee.tasks.CartPole,
+        oee.estimators.ModelBased,
+        oee.exceptions.ArgumentError("x", "y"),
+        oee.exceptions.ArgumentError,
+        pd.Series([0.25] * 9, index=range(9, 0, -1)),
+        pd.Series([1, 2], dtype="Int64"),
+        pd.Series([1, None], dtype="Int64"),
+        pd.Series(["a", "b"], dtype="category"),
+        pd.Series([Decimal(1)]),
+        pd.Series([1.0, 2.0], dtype="Sparse[float]"),
+        pd.Index([1, 2]),
+        pd.Timestamp("2020"),
+        pd.Categorical(["a", "b"]),
+        pd.DataFrame({0: [1], "0": [2]}),
+        pd.DataFrame(np.full((9, 4), 0.25), index=list("ihgfedcba")),
+        sparse.csr_array(np.full((9, 4), 0.25)),
+        sparse.csr_array(np.eye(36, 9), dtype=np.float32),
+        sparse.lil_array((36, 9)),
+        sparse.bsr_array(np.ones((36, 9))),
+        sparse.csr_matrix(np.eye(36, 9)),
+        sparse.csr_array(np.ones((36, 9), dtype=np.int8)),
+        *others(),
         len,
         int,
         np.array(1.0),
@@ -781,7 +1088,8 @@ def general():
 def hostile(rng, valid):
     """One hostile value: of a general kind, or the valid one spoilt."""
     if rng.random() < 0.75:
-        return general()[rng.integers(len(general()))]
+        value = general()[rng.integers(len(general()))]
+        return value.make() if isinstance(value, Fresh) else value
     return spoilt(rng, valid)
 
 

@@ -36,6 +36,7 @@ from scipy.optimize import least_squares
 from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular.continuous.history import (
     MAX_LAG,
     HistoryTask,
@@ -71,6 +72,7 @@ MAX_ERROR_RATIO = 1.05  # of the errors with and without fitted parameters
 UNITS = "the log's columns seem to be in another unit than the simulator's: "
 
 
+@checked()
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
     """A simulator's parameters, fitted to a log.

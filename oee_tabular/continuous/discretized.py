@@ -13,6 +13,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular.continuous.cells import (
     Grid,
@@ -41,6 +42,7 @@ Outside: TypeAlias = Literal["error", "nearest", "drop"]
 N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
 
 
+@checked()
 @dataclass(frozen=True, eq=False, repr=False)
 class Discretization:
     """A FiniteMDP made from a continuous task, with the encoding that belongs to it.

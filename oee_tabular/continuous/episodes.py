@@ -10,6 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     ContinuousTask,
@@ -36,6 +37,7 @@ def _choose(probabilities: Array, uniform: Array) -> IntArray:
     return chosen
 
 
+@checked(counts=("n_episodes",))
 @dataclass(frozen=True)
 class MonteCarlo:
     """The mean of sampled returns and its standard error.

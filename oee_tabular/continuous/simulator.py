@@ -16,6 +16,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.continuous.discretization import CellsLike, VisitedCells, discretize
 from oee_tabular.continuous.discretized import (
     Discretization,
@@ -163,6 +164,7 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
 
 
 @suggest_keywords
+@checked()
 @dataclass(frozen=True)
 class ContinuousSimulator:
     """A continuous task with the settings by which logs are evaluated in it.
@@ -401,6 +403,7 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
 
 
 @suggest_keywords
+@checked()
 @dataclass(frozen=True)
 class Settings:
     """How a continuous log is evaluated; what is None is the simulator's own.

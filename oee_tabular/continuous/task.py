@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular import _checks
+from oee_tabular._results import checked
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray
@@ -33,6 +34,7 @@ else:
 StatePolicy: TypeAlias = Callable[[Array], Array]
 
 
+@checked()
 @dataclass(frozen=True, eq=False)
 class Moves:
     """One step from each of n states.

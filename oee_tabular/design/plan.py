@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from oee_tabular import _checks, _printing
+from oee_tabular._results import checked
 from oee_tabular.design.advice import advice_sentence, describe_pair
 from oee_tabular.design.programs import sum_variances
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+@checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Outlook:
     """The precision that a plan predicts for one policy.
@@ -79,6 +81,13 @@ class Outlook:
         return 2.0 * z * self.standard_error[0], 2.0 * z * self.standard_error[1]
 
 
+@checked(
+    shapes=dict.fromkeys(
+        ("distribution", "behavior_policy", "counts", "costs", "optimistic"), "S A"
+    ),
+    levels=("confidence",),
+    counts=("n",),
+)
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A plan: where to record the next ``n`` transitions.

@@ -13,6 +13,7 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular._sparse import row_variances
 from oee_tabular.estimators.diagnostics import DiagnosticsField
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
@@ -39,6 +40,7 @@ UNEXPLAINED = "the value is not finite: beyond the largest float, or not a numbe
 
 
 @suggest_keywords
+@checked()
 @dataclass(frozen=True)
 class Estimate:
     """A value of a policy in the target, with its standard error and diagnostics.

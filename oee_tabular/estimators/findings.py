@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.typing import Array
 
 # limits beyond which there is a finding
@@ -27,6 +28,7 @@ FEW_WEIGHTED = "weights"
 
 
 @suggest_keywords
+@checked()
 @dataclass(frozen=True)
 class Finding:
     """A warning about a value.

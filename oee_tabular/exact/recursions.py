@@ -16,6 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import dot
+from oee_tabular._results import checked
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _moments
 from oee_tabular.exact.system import as_readonly, exponent
@@ -26,6 +27,7 @@ from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
 from oee_tabular.typing import Array
 
 
+@checked(shapes={"by_step": "t", "by_state": "S"})
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Mean and variance of one episode's X.

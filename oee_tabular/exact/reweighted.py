@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
+from oee_tabular._results import checked
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -22,6 +23,7 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 
 
+@checked()
 @dataclass(frozen=True, eq=False)
 class ReweightedModel:
     """The model K_zeta = zeta P with the simulator's rewards, made by ``reweight``.

@@ -19,6 +19,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, backward, finite, solvers
 from oee_tabular.exact.reach import solve_where_reached
@@ -45,6 +46,7 @@ from oee_tabular.typing import (
 )
 
 
+@checked()
 @dataclass(frozen=True)
 class LinearSolution:
     """A solution of ``solve_policy_system`` with a bound on its error.

@@ -16,6 +16,7 @@ from scipy.special import rel_entr
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.robust import anytime_radius, independent_radius
@@ -25,6 +26,7 @@ from oee_tabular.typing import Array, IntArray
 N_BISECTIONS = 60  # of [0, 1], to more than a double's 53 bits
 
 
+@checked(levels=("confidence",), counts=("tested",))
 @dataclass(frozen=True, eq=False)
 class RowChanges:
     """The distance in total variation of each pair in the target from the simulator.

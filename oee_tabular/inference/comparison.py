@@ -13,6 +13,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
@@ -39,6 +40,7 @@ MIN_RECORDED_SHARE = 0.9
 EQUALITY_TOLERANCE = 1e-12
 
 
+@checked()
 @dataclass(frozen=True)
 class Decision:
     """The policy with the largest value, if the log can decide.
@@ -85,6 +87,20 @@ class Decision:
         return self.candidates[0] if len(self.candidates) == 1 else None
 
 
+@checked(
+    shapes={
+        "names": "k",
+        "values": "k",
+        "standard_errors": "k",
+        "differences": "k k",
+        "lower": "k k",
+        "upper": "k k",
+        "probability_best": "k",
+        "covariance": "k k",
+        "unrecorded_share": "k",
+    },
+    levels=("confidence",),
+)
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The values of several policies on one log, and their differences.
@@ -563,6 +579,7 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.where(is_real, values, 0.0)))
 
 
+@checked()
 @dataclass(frozen=True)
 class Selection:
     """Measures of how well estimated values rank policies with known true values.

@@ -11,6 +11,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exceptions import ArgumentError
@@ -58,6 +59,7 @@ NO_VARIATION = (
 )
 
 
+@checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Interval:
     """A confidence interval for J of a policy in the target, a discounted sum.

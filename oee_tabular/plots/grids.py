@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -34,6 +35,7 @@ SPARSEST = 0.02
 CLOSE = 1e-6  # of a cell, by which a place may miss its middle
 
 
+@checked(shapes={"cell": "S"})
 @dataclass(frozen=True, eq=False)
 class Map:
     """Hold the cells of a grid, row 0 on top, and the states in them.

@@ -15,6 +15,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge, check_weights
@@ -27,6 +28,7 @@ from oee_tabular.typing import Array, RealArrayLike, Seed
 OPTIMAL_GAP_NATS = 1e-8
 
 
+@checked(shapes={"ratio": "n"})
 @dataclass(frozen=True)
 class RatioFit:
     """A fitted ratio and its certificate.

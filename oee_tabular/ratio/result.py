@@ -10,6 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular._sparse import (
     align,
     check_values,
@@ -25,6 +26,7 @@ from oee_tabular.ratio.prior.ridge import Tilt
 from oee_tabular.typing import Array, BoolArray, Csr, RealArrayLike
 
 
+@checked(shapes={"visited": "S A", "counts": "S A"})
 @dataclass(frozen=True, eq=False)
 class TransitionRatio:
     """Fitted zeta on the simulator's support, with its certificate and diagnostics.
@@ -314,6 +316,7 @@ class TransitionRatio:
         return array if shift == 0 else np.ldexp(array, -shift), shift
 
 
+@checked()
 @dataclass(frozen=True)
 class OneStep:
     """A one-step correction of a value, in the value's unit.

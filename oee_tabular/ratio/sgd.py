@@ -17,6 +17,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.ratio import dual
 from oee_tabular.typing import Array, IntArray, Seed
 
@@ -66,6 +67,7 @@ class Sgd:
         _checks.positive_integer(self.n_iterations, "n_iterations")
 
 
+@checked(shapes={"iteration": "n", "excess": "n", "error": "n"})
 @dataclass(frozen=True, eq=False)
 class SgdTrace:
     """The course of an optimisation, at a few iterations.

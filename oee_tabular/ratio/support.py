@@ -13,6 +13,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
@@ -365,6 +366,7 @@ def require_pair(target: object, simulator: object) -> None:
         )
 
 
+@checked(counts=("below", "above", "unsupported"))
 @dataclass(frozen=True)
 class Assumptions:
     """Assumptions V.1 and V.2 for p, q and the box [lower, upper].

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular import __version__, _checks, _files
+from oee_tabular._results import checked
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
@@ -42,6 +43,7 @@ VALUES = {
 }
 
 
+@checked()
 @dataclass(frozen=True)
 class Result:
     """One estimate of one policy.
@@ -91,6 +93,7 @@ def first_results(results: Sequence[Result]) -> dict[str, Result]:
     }
 
 
+@checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Report:
     """The result of ``oee.evaluate``: ``print(report)`` begins with the answer.

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from oee_tabular import _printing, _progress
+from oee_tabular._results import checked
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
@@ -141,6 +142,7 @@ class Premises:
         return result
 
 
+@checked()
 @dataclass(frozen=True)
 class Uncertainty:
     """How certain the log makes the values of policies.

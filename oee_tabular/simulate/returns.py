@@ -9,6 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
@@ -24,6 +25,7 @@ KINDS = ("per_decision", "trajectory")
 Kind: TypeAlias = Literal["per_decision", "trajectory"]
 
 
+@checked()
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
     """Returns and weights of n sampled episodes, the result of ``sample_returns``.

@@ -17,6 +17,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
@@ -163,6 +164,7 @@ def gridworld_policy(size: int, delta: float) -> Array:
     return mix(expert, uniform, _checks.number_in(delta, "delta", 0.0, 1.0))
 
 
+@checked(shapes={"behavior_policy": "S A", "policies": "S A"})
 @dataclass(frozen=True, eq=False)
 class Embedded:
     """The default problem of ``oee evaluate``, with its target.

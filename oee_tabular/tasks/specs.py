@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from oee_tabular import _checks
 from oee_tabular._arguments import arguments, parse_spec
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
@@ -34,6 +35,7 @@ else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded o
 FINITE = ("gridworld",)
 
 
+@checked()
 @dataclass(frozen=True)
 class NamedTask:
     """A simulator that was named.

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
@@ -25,6 +26,7 @@ from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array, IntArray, IntArrayLike, Seed
 
 
+@checked(shapes={"policy": "S A", "behavior": "S A"})
 @dataclass(frozen=True, eq=False)
 class Case:
     """Hold a pair, a policy to evaluate, and how logs of the target are recorded.

@@ -12,6 +12,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.functions import as_estimator
@@ -31,6 +32,7 @@ from oee_tabular.testing.subject import name_of
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
+@checked(counts=("n", "failures"))
 @dataclass(frozen=True, eq=False)
 class OracleComparison:
     """Hold what repetitions of an estimator gave, beside what is exact.

@@ -22,6 +22,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -117,6 +118,7 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
     return frozenset(words)
 
 
+@checked()
 @dataclass(frozen=True)
 class Verdict:
     """Hold the outcome of one law.
@@ -150,6 +152,7 @@ class Verdict:
     example: str = ""
 
 
+@checked()
 @dataclass(frozen=True, eq=False)
 class Verdicts(Mapping[str, Verdict]):
     """Hold a verdict for each law; it prints as a table.

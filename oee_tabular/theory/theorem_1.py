@@ -13,11 +13,13 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.dual import check_distributions
 from oee_tabular.typing import Array, RealArrayLike
 
 
+@checked()
 @dataclass(frozen=True)
 class Sides:
     """Both sides of an inequality ``left <= right``, without any tolerance.
@@ -252,6 +254,7 @@ def estimation_sides(
         )
 
 
+@checked()
 @dataclass(frozen=True)
 class EstimationCounterexample(Sides):
     """A counterexample to Theorem V.1 with K = 1, whose ``ratio`` is the K it needs.

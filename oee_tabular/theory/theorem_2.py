@@ -15,6 +15,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import (
     ReweightedModel,
@@ -36,6 +37,7 @@ from oee_tabular.typing import Array, BoolArray, PolicyLike, RealArrayLike, Spar
 RatioLike: TypeAlias = SparseLike | TransitionRatio
 
 
+@checked()
 @dataclass(frozen=True)
 class SimulationLemma:
     """The difference of two values, computed in three ways that are equal.

@@ -18,6 +18,7 @@ from scipy import sparse, special, stats
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import checked
 from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
@@ -32,6 +33,7 @@ from oee_tabular.typing import Array, Seed
 
 
 @suggest_keywords
+@checked(shapes={"policy": "S A", "data_policy": "S A"})
 @dataclass(frozen=True, eq=False)
 class Family:
     """Pair of environments in which the true value of a policy is exact.

@@ -29,6 +29,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
+from oee_tabular._results import checked
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import (
@@ -307,6 +308,7 @@ EXPLAINED = (
 )
 
 
+@checked()
 @dataclass(frozen=True, eq=False)
 class League:
     """Results of a run of the benchmark.
