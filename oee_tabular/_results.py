@@ -16,6 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 C = TypeVar("C", bound=type)
 # (value, name) -> the value that is kept
@@ -50,6 +51,8 @@ class _Pandas:
     DataFrame = _Frame
 
 
+# arrays and matrices by the aliases of ``oee_tabular.typing``
+_ALIASES: dict[Any, Any] = {Array: _Numbers, IntArray: _Integers, BoolArray: _Flags}
 # what annotations name that is no class at run time, or is slow to import
 _NAMES: dict[str, Any] = {
     "Array": _Numbers,
@@ -168,6 +171,32 @@ def _check_after(cls: type, check: Callable[[Any], None]) -> None:
 
 
 # ---- the checks
+
+
+def conform(value: Any, name: str, kind: Any) -> Any:
+    """Require an argument to be what an annotation says, and return it.
+
+    A list becomes the tuple or the array that is declared.
+
+    >>> conform({"a": 1.0}, "values", dict[str, float])
+    {'a': 1.0}
+    >>> conform({"a": "1"}, "values", dict[str, float] | None)
+    Traceback (most recent call last):
+    oee_tabular.exceptions.ArgumentError: values['a'] must be a number; got '1'
+    """
+    return _check_of_argument(kind)(value, name)
+
+
+@functools.lru_cache(maxsize=256)
+def _check_of_argument(kind: Any) -> Check:
+    """Return the check of an argument."""
+    check = _check_of(_ALIASES.get(kind, kind))
+    return check if check is not None else _accept
+
+
+def _accept(value: Any, name: str) -> Any:
+    """Return the value, whatever it is."""
+    return value
 
 
 def _check(
@@ -544,9 +573,10 @@ def _equal(self: Any, other: object) -> Any:
     """Compare two results of one class field by field, arrays by their entries."""
     if other.__class__ is not self.__class__:
         return NotImplemented
+    kind: Any = type(self)
     return all(
         _same(getattr(self, field.name), getattr(other, field.name))
-        for field in dataclasses.fields(self)
+        for field in dataclasses.fields(kind)
         if field.compare
     )
 

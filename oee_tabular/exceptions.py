@@ -47,6 +47,14 @@ def _rebuild(
     return error
 
 
+def _text(value: object) -> str:
+    """Return the text of a part of a message; an error is raised whatever it is of."""
+    try:
+        return str(value)
+    except Exception:  # a user's object may raise anything
+        return f"<{type(value).__name__}>"
+
+
 class ArgumentError(ValueError):
     """Report an argument that breaks a rule: ``str(error)`` is "argument rule".
 
@@ -73,7 +81,7 @@ class ArgumentError(ValueError):
     """
 
     def __init__(self, argument: str, rule: str) -> None:
-        super().__init__(f"{argument} {rule}")
+        super().__init__(f"{_text(argument)} {_text(rule)}")
         self.argument = argument
         self.rule = rule
 
@@ -114,11 +122,15 @@ class UnknownKeywordError(TypeError):
     def __init__(
         self, function: str, keyword: str, nearest: str | None, known: Sequence[str]
     ) -> None:
-        hint = f"It takes {', '.join(known)}." if known else "It takes none."
+        try:
+            hint = f"It takes {', '.join(known)}." if len(known) else "It takes none."
+        except TypeError:  # these are no names
+            hint = ""
         if nearest is not None:
-            hint = f"Did you mean {nearest!r}?"
+            hint = f"Did you mean {_text(nearest)!r}?"
         super().__init__(
-            f"{function}() got an unexpected keyword argument {keyword!r}. {hint}"
+            f"{_text(function)}() got an unexpected keyword argument"
+            f" {_text(keyword)!r}. {hint}"
         )
         self.function = function
         self.keyword = keyword

@@ -140,9 +140,7 @@ def methods(name, kind, holder, inner):
         if not from_package(kind, attribute):
             continue
         named = attribute[0] != "_" or (
-            attribute == "__call__"
-            and not issubclass(kind, type)
-            and name not in STEPS
+            attribute == "__call__" and not issubclass(kind, type) and name not in STEPS
         )
         if {attribute, f"{name}.{attribute}"} & {*inner}:
             continue
@@ -409,6 +407,9 @@ def make_call(seed, k, every, calls):
     )
     for argument in replaced:
         values[argument] = hostile(rng, values[argument])
+        # the physics runs for as many steps as are asked for
+        if name in OF_THE_ARM and isinstance(values[argument], int):
+            values[argument] = min(values[argument], 3)
     return name, values, replaced
 
 

@@ -798,7 +798,7 @@ def others():
         {"a": oee.Estimate(1.0)},
         oee.tasks.CartPole(),
         oee.tasks.Reacher(),
-        oee.estimators.Diagnostics(coverage="x"),
+        oee.estimators.Diagnostics(coverage=0.5, colour="x"),
     )
 
 
@@ -869,7 +869,6 @@ def general():
         *(spiteful(name) for name in PROTOCOL),
         spiteful("__repr__", "__str__", "__format__", error=SpiteOfText),
         spiteful("__repr__", "__str__", kind=float, error=SpiteOfText),
-        spiteful("__repr__", "__str__", kind=str, error=SpiteOfText),
         spiteful("__iter__", "keys", "items", kind=dict),
         spiteful("__eq__", "__bool__", shape=(9, 4), dtype=np.dtype(float)),
         [spiteful("__repr__", "__str__", "__format__", error=SpiteOfText)] * 9,

@@ -438,6 +438,7 @@ def visited_states(
     (1000, 4)
     """
     size = _checks.positive_integer(n, "n")
+    _checks.positive_integer(max_steps, "max_steps")
     several = _require_tasks(tasks, "tasks")
     pairs = [
         (task, policy)
@@ -552,7 +553,7 @@ def discretize(
     """
     _checks.instance(task, ContinuousTask, "task")
     share = _checks.number_in(floor, "floor", 0.0, 1.0)
-    policies = _require_policies(policies, "policies")
+    visiting = _require_policies(policies, "policies")
     if log is not None:
         require_log_of(task, log)
     process = task.on_features()
@@ -581,7 +582,7 @@ def discretize(
     if isinstance(chosen, Discretization):
         places = chosen.places
     else:
-        visiting = list(policies) or [uniform_policy_of(task)]
+        visiting = visiting or [uniform_policy_of(task)]
         places = chosen.places(
             process, log if process is task else None, mixed, visiting, seed
         )

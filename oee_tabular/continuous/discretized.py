@@ -14,7 +14,7 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked
-from oee_tabular._sparse import canonical, row_of_entry
+from oee_tabular._sparse import canonical, check_csr, row_of_entry
 from oee_tabular.continuous.cells import (
     Grid,
     Places,
@@ -170,7 +170,14 @@ class Discretization:
             Of states (n, d) it gives probabilities (n, A): the mean over the cells that
             a state is shared out to.
         """
-        inner = np.asarray(table, dtype=np.float64)[: self.cells.n_cells]
+        array = _checks.float_array(table, "table", ndim=2)
+        if len(array) < self.cells.n_cells:
+            raise ArgumentError(
+                "table",
+                f"must have a row for each of {self.cells.n_cells} cells; it has"
+                f" shape {array.shape}",
+            )
+        inner = array[: self.cells.n_cells]
 
         def interpolated(states: Array) -> Array:
             """Return the mean of the table's rows over the cells of each state."""
@@ -274,6 +281,7 @@ class Discretization:
             The MDP.
         """
         plain = self.plain
+        transitions = check_csr(transitions, "transitions")
         chosen = plain.rewards if rewards is None else rewards
         return self.places.finite_mdp(
             self.task, transitions, chosen, plain.initial, plain.discount
@@ -305,7 +313,9 @@ class Discretization:
         simulator with the target's parameters is found where the log is long: this is
         system identification, stated as a ratio.
         """
-        entries = counts.tocoo()
+        entries = self._require_counts(counts).tocoo()
+        if not entries.data.sum() > 0.0:
+            raise ArgumentError("counts", "must have a transition; they have none")
         rows, columns = entries.coords
         parts = [part.transitions[rows, columns] for part in self.simulators]
         table = np.stack([np.asarray(part).ravel() for part in parts], axis=1)
@@ -477,12 +487,24 @@ class Discretization:
             The share of the counts without support, to be reported with what is made of
             them.
         """
-        matrix = canonical(counts, drop_zeros=True)
+        matrix = canonical(self._require_counts(counts), drop_zeros=True)
         has_probability = self.mdp.transitions.astype(np.bool_)
         kept = canonical(matrix.multiply(has_probability), drop_zeros=True)
         total = float(matrix.data.sum())
         share = 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
         return kept, share
+
+    def _require_counts(self, counts: object) -> Csr:
+        """Require counts of the transitions of ``mdp``, and return them as csr."""
+        matrix = check_csr(counts, "counts")
+        if matrix.shape != self.mdp.transitions.shape:
+            raise ArgumentError(
+                "counts",
+                f"must have shape {self.mdp.transitions.shape}; it has shape"
+                f" {matrix.shape}",
+            )
+        _checks.require_nonnegative(matrix.data, "counts.data")
+        return matrix
 
     def displacement_ties(self) -> IntArray:
         """Return a tie for each entry of ``mdp.transitions``.

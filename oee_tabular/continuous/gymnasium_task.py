@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import conform
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     NO_CHANCE,
@@ -197,9 +198,19 @@ class GymnasiumTask(ContinuousTask):
         self._set = set_state
         self._over = over
         self._reward_between = reward_between
-        if parameters is not None:
-            _checks.instance(parameters, dict, "parameters")
-        self._parameters = dict(parameters or {})
+        for name, optional in (
+            ("over", over),
+            ("reward_between", reward_between),
+            ("make_vector", make_vector),
+        ):
+            if optional is not None:
+                _checks.function(optional, name)
+        known = conform(parameters, "parameters", dict[str, Any] | None)
+        if state_names is not None:
+            state_names = conform(state_names, "state_names", tuple[str, ...])
+        if periodic is not None:
+            periodic = conform(periodic, "periodic", tuple[bool, ...])
+        self._parameters = dict(known or {})
         self._env = _make_one(make)
         reset_environment(self._env, 0)
         state = self.read(self._env)

@@ -43,6 +43,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import checked
 from oee_tabular.continuous import gen3
 from oee_tabular.continuous.cells import each_action
 from oee_tabular.continuous.episodes import record
@@ -105,6 +106,9 @@ LIMITS = {
 STAND_IN = "simulated stand-in, not a robot"
 
 
+@checked(
+    shapes={"coefficients": "a k x", "scatter": "a x x", "starts": "n x"},
+)
 @dataclass(frozen=True, eq=False)
 class KinovaHand(gen3.HandTask):
     """The position of the (simulated) arm's hand as a process of its own.
@@ -156,6 +160,7 @@ class KinovaHand(gen3.HandTask):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "goal", gen3.goal_number(self.goal))
+        _checks.positive_integer(self.noise_points, "noise_points")
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """Carry out one command from each state.

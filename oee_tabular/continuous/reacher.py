@@ -500,7 +500,12 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     The elbow is bent to the left, q2 >= 0, with cos q2 = (x^2 + y^2 - l^2 - (l +
     .01)^2) / (2 l (l + .01)). Raises a ValueError for a target out of the arm's reach.
     """
-    x, y = _checks.float_array(target, "target")
+    point = _checks.float_array(target, "target", ndim=1)
+    if len(point) != 2:
+        raise ArgumentError(
+            "target", f"must be two numbers, x and y; it has {len(point)}"
+        )
+    x, y = point
     far = length + RADIUS
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
     if not -1.0 <= bend <= 1.0:

@@ -13,6 +13,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._results import checked
 from oee_tabular.design.advice import advice_sentence, describe_pair
 from oee_tabular.design.programs import sum_variances
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 from oee_tabular.plots import plot_states
 from oee_tabular.typing import Array, BoolArray, IntArray
@@ -163,6 +164,19 @@ class Plan:
     solver: str
     status: str = "ok"
     names: Names = NAMELESS
+
+    def __post_init__(self) -> None:
+        for name, some in (("policies", self.policies), ("costs", self.costs)):
+            if not some:
+                raise ArgumentError(name, "must have a policy; it is empty")
+        n_states, n_actions = self.counts.shape
+        for k, (s, a) in enumerate(self.next_pairs):
+            if not (0 <= s < n_states and 0 <= a < n_actions):
+                raise ArgumentError(
+                    f"next_pairs[{k}]",
+                    f"must be a pair of {n_states} states and {n_actions} actions; it"
+                    f" is {(s, a)}",
+                )
 
     @property
     def inefficiency(self) -> float:

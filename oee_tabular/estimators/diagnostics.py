@@ -19,6 +19,9 @@ from typing import (
 
 import numpy as np
 
+from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
+
 # value: a discounted sum of rewards, or an error of one; share: in [0, 1]; ratio: of
 # two probabilities, or of two occupancies; nats: of a logarithm of probabilities
 Unit = Literal[
@@ -55,6 +58,19 @@ class Diagnostic(Generic[Number]):
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
+
+    def check(self, value: object) -> None:
+        """Require a value to be of the declared kind."""
+        if self.kind is str:
+            is_one = isinstance(value, str)
+        else:
+            is_one = isinstance(value, float | int | np.integer | np.floating)
+        if not is_one:
+            what = "a text" if self.kind is str else "a number"
+            raise ArgumentError(
+                f"diagnostics[{self.name!r}]",
+                f"must be {what}, or None; got {_checks.show(value)}",
+            )
 
     @overload
     def __get__(self, instance: None, owner: type) -> Self: ...
@@ -99,7 +115,23 @@ class Diagnostics(dict[str, Any]):
     def __init__(
         self, facts: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), /, **more: Any
     ) -> None:
-        super().__init__(facts, **more)
+        try:
+            super().__init__(facts, **more)
+        except (TypeError, ValueError):
+            raise ArgumentError(
+                "diagnostics",
+                "must be a mapping, or pairs of key and value; got"
+                f" {_checks.show(facts)}",
+            ) from None
+        declared = vars(Diagnostics)
+        for key, value in self.items():
+            field = declared.get(key) if isinstance(key, str) else None
+            if field is None and not isinstance(key, str):
+                raise ArgumentError(
+                    "diagnostics", f"must have texts for keys; got {_checks.show(key)}"
+                )
+            if isinstance(field, Diagnostic) and value is not None:
+                field.check(value)
 
     # what the error and the interval are
     standard_error_of = Diagnostic(
@@ -301,7 +333,7 @@ class Diagnostics(dict[str, Any]):
         str or None
             The unit; None for a key that is not declared.
         """
-        field = vars(cls).get(key)
+        field = vars(cls).get(_checks.instance(key, str, "key", "text"))
         return field.unit if isinstance(field, Diagnostic) else None
 
     def scaled(self, factor: float) -> Diagnostics:
@@ -317,6 +349,7 @@ class Diagnostics(dict[str, Any]):
         Diagnostics
             The same diagnostics in the same order, in the unit of the scaled value.
         """
+        _checks.number_in(factor, "factor", -np.inf, np.inf)
         return Diagnostics(
             (key, x * factor if self._is_value(key, x) else x)
             for key, x in self.items()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular._results import checked
+from oee_tabular._results import checked, conform
 from oee_tabular.typing import Array
 
 # limits beyond which there is a finding
@@ -86,7 +86,7 @@ class Finding:
         str
             The sentence.
         """
-        return self.text.replace("{}", figure)
+        return self.text.replace("{}", conform(figure, "figure", str))
 
 
 Findings = tuple[Finding, ...]

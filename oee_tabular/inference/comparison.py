@@ -13,7 +13,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
-from oee_tabular._results import checked
+from oee_tabular._results import checked, conform
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
@@ -161,6 +161,14 @@ class Comparison:
     unrecorded_share: Array
     confidence: float
 
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise ArgumentError("names", "must have a policy; it is empty")
+        if len(set(self.names)) < len(self.names):
+            raise ArgumentError(
+                "names", f"must differ; they are {_checks.show(self.names)}"
+            )
+
     def decide(
         self,
         values: Mapping[str, float] | None = None,
@@ -191,6 +199,13 @@ class Comparison:
         confidence of all differences, or one is best (by likelihood intervals) and its
         P(best) is below that confidence.
         """
+        intervals = conform(intervals, "intervals", dict[str, Interval] | None)
+        if values is not None:
+            conform(values, "values", dict[str, float])
+            for name in values:
+                _checks.one_of(name, "a key of values", self.names)
+            if not values:
+                raise ArgumentError("values", "must have a policy; it is empty")
         if values is None:
             values = dict(zip(self.names, self.values.tolist(), strict=True))
         shown = values
@@ -264,6 +279,9 @@ class Comparison:
         otherwise the difference of the likelihood intervals' ends. Of two that there
         are, it is the one that tells the policies apart, or the shorter.
         """
+        _checks.one_of(one, "one", self.names)
+        _checks.one_of(other, "other", self.names)
+        conform(intervals, "intervals", dict[str, Interval] | None)
         i = self.names.index(one)
         j = self.names.index(other)
         known = intervals or {}

@@ -9,6 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import conform
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots.style import (
     INK,
@@ -88,7 +89,7 @@ def plot_curves(
     where, drawn = _check_curves(x, curves, "x", "curves")
     check_texts(xlabel=xlabel, ylabel=ylabel)
     ends = {}
-    for name, pair in _checks.instance(bands or {}, Mapping, "bands").items():
+    for name, pair in conform({} if bands is None else bands, "bands", Mapping).items():
         if name not in drawn:
             raise ArgumentError(
                 "bands", f"must be of names in curves; {_checks.show(name)} is not"

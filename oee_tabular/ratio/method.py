@@ -311,7 +311,7 @@ class Method:
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
         log = None
-        cache = {} if cache is None else cache
+        cache = {} if cache is None else _checks.instance(cache, dict, "cache")
         if isinstance(log_or_counts, Transitions):
             log = log_or_counts.numbered(simulator)
             counts = log.counts(

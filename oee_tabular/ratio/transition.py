@@ -335,7 +335,8 @@ def transition_ratio(
             )
         chosen = method
     else:
-        is_tied = method == "conditional" and tie is not None
+        is_default = isinstance(method, str) and method == "conditional"
+        is_tied = is_default and tie is not None
         chosen = method_named("tied" if is_tied else method, **options)
     chosen.refuse_unused(
         values_of=values_of,

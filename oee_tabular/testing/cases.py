@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._results import checked
+from oee_tabular._results import checked, conform
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
@@ -62,6 +62,18 @@ class Case:
     behavior: Array
     horizon: int | None
     steps: int
+
+    def __post_init__(self) -> None:
+        for name in ("policy", "behavior"):
+            shape = (self.simulator.n_states, self.simulator.n_actions)
+            if getattr(self, name).shape != shape:
+                raise ArgumentError(
+                    name,
+                    f"must have shape {shape}; it has shape"
+                    f" {getattr(self, name).shape}",
+                )
+        _checks.optional_horizon(self.horizon)
+        _checks.positive_integer(self.steps, "steps")
 
     @property
     def title(self) -> str:
@@ -113,6 +125,8 @@ class Case:
         Transitions
             The next log.
         """
+        n = _checks.positive_integer(n, "n")
+        repetitions = _checks.positive_integer(repetitions, "repetitions")
         whole = self.log(n * repetitions, seed=seed)
         starts = whole.episode_starts
         columns = whole.columns()
@@ -153,6 +167,7 @@ class Case:
         Problem
             Simulator, log, horizon and behaviour policy.
         """
+        _checks.instance(log, Transitions, "log", "Transitions")
         simulator = copy.deepcopy(self.simulator)
         own_log = Transitions(**log.columns())
         return Problem(
@@ -177,6 +192,8 @@ class Case:
         Case
             The case with other rewards in simulator and target.
         """
+        scale = _checks.number_in(scale, "scale", -np.inf, np.inf)
+        shift = _checks.number_in(shift, "shift", -np.inf, np.inf)
         pair = []
         for mdp in (self.simulator, self.target):
             rewards: Any = scale * mdp.rewards + shift
@@ -203,6 +220,16 @@ class Case:
         """
         new_states = _permutation(states, "states", self.simulator.n_states)
         new_actions = _permutation(actions, "actions", self.simulator.n_actions)
+        for name, numbers, size in (
+            ("states", new_states, self.simulator.n_states),
+            ("actions", new_actions, self.simulator.n_actions),
+        ):
+            if len(numbers) > size:
+                raise ArgumentError(
+                    name,
+                    f"must have a number for each of {size} {name}; it has"
+                    f" {len(numbers)}",
+                )
         old = np.ix_(np.argsort(new_states), np.argsort(new_actions))
         simulator, target = (
             _relabel(mdp, old) for mdp in (self.simulator, self.target)
@@ -276,8 +303,10 @@ def relabelled_log(
 def _permutation(value: IntArrayLike, name: str, most: int) -> IntArray:
     """Return ``value`` as an array of integers, checked to be a permutation."""
     array = _checks.as_array(value, name)
-    if array.dtype.kind not in "iuf" or not np.array_equal(
-        np.sort(array, axis=None), np.arange(len(array))
+    if (
+        array.ndim != 1
+        or array.dtype.kind not in "iuf"
+        or not np.array_equal(np.sort(array, axis=None), np.arange(len(array)))
     ):
         raise ArgumentError(
             name, f"must be a permutation of 0, 1, ...; it is {_checks.show(value)}"
@@ -319,8 +348,15 @@ def padded_log(
     >>> len(log), int(log.terminated.sum()), len(padded_log(log, (0, 1), 0.5))
     (4, 2, 8)
     """
+    _checks.instance(log, Transitions, "log", "Transitions")
+    added: IntArray = conform(actions, "actions", IntArray)
+    if added.ndim != 1:
+        raise ArgumentError(
+            "actions", f"must be a list of actions; it has shape {added.shape}"
+        )
+    probability = _checks.number_in(probability, "probability", 0.0, 1.0)
     starts = log.episode_starts
-    n = len(actions)
+    n = len(added)
     if starts is None:
         raise ArgumentError("log", "must have episodes; it has none")
     columns = log.columns()
@@ -330,7 +366,7 @@ def padded_log(
     end = np.repeat(log.next_state[last], n)
     more: dict[str, Any] = {
         "state": end,
-        "action": np.tile(actions, len(last)),
+        "action": np.tile(added, len(last)),
         "next_state": end,
         "reward": 0.0,
         "terminated": np.tile(np.arange(n) == n - 1, len(last)),

@@ -102,8 +102,10 @@ def mdps(
             "min_states", f"must be at most max_states; they are {low} and {high}"
         )
     most_actions = _checks.positive_integer(max_actions, "max_actions")
+    discounts = _checks.collection(discounts, "discounts", "a list of numbers")
+    rewards = _checks.collection(rewards, "rewards", "a list of words")
     for name, values in (("discounts", discounts), ("rewards", rewards)):
-        if not len(values):
+        if not values:
             raise ArgumentError(name, "must hold at least one; it is empty")
     factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in discounts]
     for form in rewards:

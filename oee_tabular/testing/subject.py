@@ -105,7 +105,7 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             words = words() if callable(words) else words
         except Exception as error:
             raise ArgumentError(
-                name, f"must be a collection of words; it raises {error!r}"
+                name, f"must be a collection of words; it raises {_checks.show(error)}"
             ) from None
         if words is None:
             return DEFAULT

@@ -187,7 +187,7 @@ def of(*values, **fields):
             "fails",
             "standard_error must be None or a nonnegative number; it is -1.0",
         ),
-        (of("high"), "fails", "value must be a float; it is str"),
+        (of("high"), "raises", "value must be a number; got 'high'"),
         (of(1.0, status=None), "raises", "status must be "),
         (
             of(1.0, status=""),
@@ -196,7 +196,7 @@ def of(*values, **fields):
         ),
         (of(np.inf), "fails", "value must be finite where status is"),
         (of(1.0, interval=(2.0, 1.0)), "fails", "interval must be None or"),
-        (of(1.0, diagnostics=None), "fails", "diagnostics must be a dict"),
+        (of(1.0, diagnostics=None), "raises", "diagnostics must be a mapping"),
     ],
 )
 def test_whatever_an_estimator_does_is_a_verdict(estimator, outcome, said):

@@ -30,6 +30,7 @@ from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import time_limit
 from oee_tabular._progress import is_terminal
+from oee_tabular._results import conform
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -175,6 +176,7 @@ def run(
         seed=seed,
         timeout=timeout,
     )
+    conform(output, "output", str | PathLike | None)
     place: AbstractContextManager[str | PathLike[str]]
     if output is None:
         place = tempfile.TemporaryDirectory()

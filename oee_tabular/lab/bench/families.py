@@ -21,6 +21,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular._results import conform
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import optimal_policy, state_values
 from oee_tabular.exceptions import ArgumentError
@@ -417,14 +418,16 @@ class Families(Mapping[str, Family]):
         self, makers: Mapping[str, Maker], seed: int, left_out: Mapping[str, str]
     ):
         """Keep the makers; nothing is made yet."""
-        self._makers = dict(makers)
+        self._makers = dict(conform(makers, "makers", dict[str, Callable[..., Any]]))
         self._made = dict[str, Family]()
-        self.seed = seed
-        self.left_out = dict(left_out)
+        self.seed = check_seed(seed)
+        self.left_out: dict[str, str] = dict(
+            conform(left_out, "left_out", dict[str, str])
+        )
 
     def __getitem__(self, name: str) -> Family:
         """Return the family of a name; KeyError says which are near."""
-        if name not in self._makers:
+        if name not in self:
             raise KeyError(self.missing(name))
         if name not in self._made:
             self._made[name] = self._make(name)
@@ -432,7 +435,7 @@ class Families(Mapping[str, Family]):
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a family of that name."""
-        return name in self._makers
+        return isinstance(name, str) and name in self._makers
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
@@ -459,9 +462,10 @@ class Families(Mapping[str, Family]):
         str
             One sentence for an error.
         """
-        if name in self.left_out:
+        if isinstance(name, str) and name in self.left_out:
             return self.left_out[name]
-        near = difflib.get_close_matches(str(name), list(self._makers), n=3, cutoff=0.4)
+        given = name if isinstance(name, str) else _checks.show(name)
+        near = difflib.get_close_matches(given, list(self._makers), n=3, cutoff=0.4)
         hint = ""
         if near:
             hint = f"; nearest: {', '.join(near)}"
@@ -473,14 +477,23 @@ class Families(Mapping[str, Family]):
     def _make(self, name: str) -> Family:
         """Make the family of a name, with a ValueError that names it."""
         # The numbers depend on the name and the seed, not on the other families.
-        words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")
+        words = np.frombuffer(
+            hashlib.sha256(name.encode("utf-8", "surrogatepass")).digest()[:16],
+            dtype=">u4",
+        )
         try:
             if not inspect.signature(self._makers[name]).parameters:
-                return _make_fixed(self._makers[name])
+                return _require_family(_make_fixed(self._makers[name]), name)
             stream = np.random.SeedSequence(self.seed, spawn_key=words.tolist())
-            return self._makers[name](np.random.default_rng(stream))
+            made = self._makers[name](np.random.default_rng(stream))
+            return _require_family(made, name)
         except ValueError as error:
             raise ValueError(f"family {name!r}: {error}") from error
+
+
+def _require_family(made: object, name: str) -> Family:
+    """Require what a maker returns to be a family, and return it."""
+    return _checks.instance(made, Family, f"makers[{name!r}]()")
 
 
 @functools.lru_cache(maxsize=64)

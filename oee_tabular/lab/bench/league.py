@@ -29,7 +29,8 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
-from oee_tabular._results import checked
+from oee_tabular._results import checked, conform
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import (
@@ -410,6 +411,7 @@ class League:
         figure : matplotlib.figure.Figure
             An empty figure, which is drawn on and resized.
         """
+        _require_figure(figure)
         ax = _axes(
             figure,
             xlabel="tau: RMSE over the reference's",
@@ -449,6 +451,7 @@ class League:
         figure : matplotlib.figure.Figure
             An empty figure, which is drawn on and resized.
         """
+        _require_figure(figure)
         ax = _axes(
             figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff"
         )
@@ -486,6 +489,7 @@ class League:
         figure : matplotlib.figure.Figure
             An empty figure, which is drawn on and resized.
         """
+        _require_figure(figure)
         references = [LIKELIHOOD, SIMULATOR]
         names = [
             name for name in self.cells["estimator"].unique() if name not in references
@@ -551,6 +555,8 @@ class League:
         str
             The page, with links to the pictures that ``save`` writes beside it.
         """
+        conform(about, "about", dict[str, str])
+        conform(command, "command", str)
         parts = ["# Estimators on families of environment shift"]
         if command:
             parts.append(f"`{command}`")
@@ -637,6 +643,8 @@ class League:
         ValueError
             If one of the files is a link or something else that is no plain file.
         """
+        conform(folder, "folder", str | PathLike)
+        conform(about, "about", dict[str, str] | None)
         contents = {
             "table.csv": _files.csv_bytes(self.table),
             "cells.csv": _files.csv_bytes(self.cells, float_format="%.6g"),
@@ -661,6 +669,15 @@ def _axes(figure: Any, **labels: str) -> Any:
     ax = figure.subplots()
     ax.set(**labels)
     return ax
+
+
+def _require_figure(figure: object) -> None:
+    """Require a figure of matplotlib."""
+    if not callable(getattr(type(figure), "set_size_inches", None)):
+        raise ArgumentError(
+            "figure",
+            f"must be a matplotlib.figure.Figure; got {type(figure).__name__}",
+        )
 
 
 def league_of(table: pd.DataFrame) -> League:
@@ -719,9 +736,53 @@ def league_of(table: pd.DataFrame) -> League:
     ... ).values.tolist()
     [['maximum-likelihood', 1.0], ['simulator', 2.0], ['mine', 0.5]]
     """
+    _require_rows(table)
     groups = table.groupby(["family", "size"], sort=False)
     cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
     return League(table, cells, league_of_cells(cells))
+
+
+TEXT_COLUMNS = ("family", "families", "estimator", "status")
+NUMBER_COLUMNS = (
+    *("size", "value", "standard_error", "error", "lower", "upper"),
+    *("seconds", "covered", "bound", "truth"),
+)
+
+
+def _require_rows(table: pd.DataFrame) -> None:
+    """Require the rows of a run: their columns, one of each log, and the references."""
+    conform(table, "table", pd.DataFrame)
+    wanted = [*TEXT_COLUMNS, *NUMBER_COLUMNS, "seed", "identical"]
+    missing = [name for name in wanted if name not in table.columns]
+    if missing:
+        raise ArgumentError(
+            "table", f"must have the columns {', '.join(wanted)}; it lacks {missing[0]}"
+        )
+    if not len(table) or not table.columns.is_unique:
+        raise ArgumentError(
+            "table", f"must have rows, and each column once; it has {len(table)} rows"
+        )
+    for name in NUMBER_COLUMNS:
+        try:
+            table[name].astype(float)
+        except (TypeError, ValueError):
+            raise ArgumentError(
+                f"table[{name!r}]", f"must be numbers; it is {table[name].dtype}"
+            ) from None
+    key = ["family", "size", "seed", "estimator"]
+    if table.duplicated(key).any():
+        row = int(np.argmax(table.duplicated(key)))
+        raise ArgumentError(
+            "table", f"must have one row for each {', '.join(key)}; row {row} is double"
+        )
+    for cell, part in table.groupby(["family", "size"], sort=False):
+        for reference in (LIKELIHOOD, SIMULATOR):
+            if not (part["estimator"] == reference).any():
+                raise ArgumentError(
+                    "table",
+                    f"must have rows of {reference!r} for each family and size; those"
+                    f" of {cell} have none",
+                )
 
 
 def league_of_cells(cells: pd.DataFrame) -> pd.DataFrame:
