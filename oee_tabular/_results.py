@@ -122,6 +122,7 @@ def checked(
         else:
             _check_after(cls, check)
         own = vars(cls)
+        cls._is_checked = True  # type: ignore[attr-defined]
         if _is_generated(cls, "__repr__"):
             _set(cls, "__repr__", _show_fields)
         for name in ("__repr__", "__str__", "_repr_html_"):
@@ -190,7 +191,7 @@ def conform(value: Any, name: str, kind: Any) -> Any:
 @functools.lru_cache(maxsize=256)
 def _check_of_argument(kind: Any) -> Check:
     """Return the check of an argument."""
-    check = _check_of(_ALIASES.get(kind, kind))
+    check = _check_of(kind)
     return check if check is not None else _accept
 
 
@@ -215,7 +216,7 @@ def _check(
     for name in levels:
         level = getattr(result, name)
         if not 0.0 < level <= 1.0:
-            raise ArgumentError(name, f"must be in (0, 1); it is {level:g}")
+            raise ArgumentError(name, f"must be in (0, 1]; it is {level:g}")
     for name in counts:
         number = getattr(result, name)
         if number is not None and not 0 <= number <= _checks.LARGEST_INTEGER:
@@ -286,6 +287,7 @@ def _evaluate(annotation: Any, names: _Names) -> Any:
 
 def _check_of(kind: Any) -> Check | None:
     """Return the check of an annotation, or None where it says nothing."""
+    kind = _ALIASES.get(kind, kind)
     if kind in _SIMPLE:
         return _SIMPLE[kind]
     origin = typing.get_origin(kind)
@@ -434,9 +436,9 @@ def _union(kinds: tuple[Any, ...]) -> Check | None:
             except ArgumentError as error:
                 if error.argument != name:
                     raise
-                rules.append(error.rule.removeprefix("must be "))
-        end = "" if not has_none else " (or None)"
-        raise ArgumentError(name, f"must be {', or '.join(rules)}{end}")
+                rules.append(error.rule)
+        end = " (or None)" if has_none else ""
+        raise ArgumentError(name, f"{', or '.join(rules)}{end}")
 
     return check_one
 

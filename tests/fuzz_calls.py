@@ -75,6 +75,8 @@ ALIASES = {  # words of the command line, which the same errors serve
     "matrix": ("count",),
     "tie": ("frame",),
     "name": ("folder", "path"),
+    "facts": ("diagnostics",),
+    "more": ("diagnostics",),
     "folder": ("output",),
 }
 # nan where a row was never recorded, or from one episode

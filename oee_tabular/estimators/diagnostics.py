@@ -119,7 +119,7 @@ class Diagnostics(dict[str, Any]):
             super().__init__(facts, **more)
         except (TypeError, ValueError):
             raise ArgumentError(
-                "diagnostics",
+                "facts",
                 "must be a mapping, or pairs of key and value; got"
                 f" {_checks.show(facts)}",
             ) from None
@@ -468,5 +468,10 @@ class DiagnosticsField:
     def __set__(self, instance: object, value: Mapping[str, Any] | tuple[()]) -> None:
         # anything else stays what it is: ``testing.check_estimator`` reports it
         if isinstance(value, Mapping | tuple):
-            value = Diagnostics(value)
+            try:
+                value = Diagnostics(value)
+            except ArgumentError as error:
+                if error.argument != "facts":
+                    raise
+                raise ArgumentError(self.name, error.rule) from None
         vars(instance)[self.name] = value

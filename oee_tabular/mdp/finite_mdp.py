@@ -205,6 +205,8 @@ class FiniteMDP:
             actions = check_names(action_names, "action_names", n_actions)
         start = initial_distribution(initial, states, n_states)
         own = None if layout is None else check_layout(layout, n_states)
+        if sampling is not None:
+            _checks.instance(sampling, Sampling, "sampling")
         terminal = np.arange(n_states)
         if terminal_state is not None:
             terminal = check_terminal_state(terminal_state, n_states)
