@@ -437,7 +437,7 @@ def _union(kinds: tuple[Any, ...]) -> Check | None:
                 if error.argument != name:
                     raise
                 rules.append(error.rule)
-        end = " (or None)" if has_none else ""
+        end = " (None is allowed)" if has_none else ""
         raise ArgumentError(name, f"{', or '.join(rules)}{end}")
 
     return check_one

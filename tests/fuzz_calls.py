@@ -31,7 +31,7 @@ import warnings
 from collections import Counter
 
 import numpy as np
-from fuzz_child import Child
+from fuzz_child import Child, allow
 from fuzz_values import Spite, SpiteOfText, hostile, valid_values
 from scipy import sparse
 
@@ -415,9 +415,11 @@ def make_call(seed, k, every, calls):
     return name, values, replaced
 
 
-def attack(pipe, seed, rooms):
+def attack(pipe, seed, rooms, limit):
     """Make the calls whose numbers are asked for; say what each was, its kind and its
     text.
+
+    limit : seconds of CPU of a call; 0 for any
     """
     os.chdir(tempfile.mkdtemp())
     known = valid_values()
@@ -428,12 +430,14 @@ def attack(pipe, seed, rooms):
     while True:
         name, values, replaced = make_call(seed, k := pipe.recv(), every, calls)
         begun = time.process_time()
+        allow(limit)
         kind, text = judged(every[name], values, replaced)
         # the first time it may have been compiled
         if time.process_time() - begun > LIMIT:
             begun = time.process_time()
             judged(every[name], values, replaced)
             kind = "slow" if time.process_time() - begun > LIMIT else kind
+        allow(0)
         if not replaced and kind != "accepted":
             kind = "invalid"
         pipe.send(
@@ -457,12 +461,12 @@ def shown(value):
         return type(value).__name__
 
 
-def fuzz(seed, calls, rooms=None, first=0, limit=90.0):
-    """Counts by kind, and what was wrong: (kind, call, text).
+def fuzz(seed, calls, rooms=None, first=0, limit=60.0, found=None):
+    """Counts by kind, and what was wrong: (kind, call, text), which ``found`` is told.
 
-    limit : seconds for a call; None waits
+    limit : seconds of CPU for a call; 0 waits
     """
-    child = Child(limit, attack, seed, rooms)
+    child = Child(None, attack, seed, rooms, limit)
     counts = Counter()
     wrong = []
     for k in range(first, first + calls):
@@ -471,8 +475,15 @@ def fuzz(seed, calls, rooms=None, first=0, limit=90.0):
         counts[kind] += 1
         if kind in WRONG:
             wrong.append((kind, said, text))
+            if found is not None:
+                found(*wrong[-1])
     child.end()
     return counts, wrong
+
+
+def tell(kind, said, text):
+    """Print what was wrong."""
+    print(f"{kind:9}{said}\n         {text[:240]}", flush=True)
 
 
 def main():
@@ -497,9 +508,7 @@ def main():
         )
         print(shown(call(every[name], values)))
         return 0
-    counts, wrong = fuzz(given.seed, given.calls, given.rooms)
-    for kind, said, text in wrong:
-        print(f"{kind:9}{said}\n         {text[:240]}")
+    counts, wrong = fuzz(given.seed, given.calls, given.rooms, found=tell)
     print(f"{sum(counts.values())} calls: {dict(counts)}")
     return int(bool(wrong))
 

@@ -3,8 +3,17 @@ takes its place.
 """
 
 import multiprocessing
+import signal
 
+# ends a child that has set a timer of its own processor time
+OUT_OF_TIME = getattr(signal, "SIGPROF", 0)
 START = 300.0  # seconds for a child to import and compile
+
+
+def allow(seconds):
+    """End this process after so many seconds of its own processor time; 0 for never."""
+    if OUT_OF_TIME:
+        signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
 class Child:
@@ -41,7 +50,9 @@ class Child:
                 return answer
             lost = "hang"
         except (EOFError, ConnectionError):
-            pass
+            self.process.join()
+            if self.process.exitcode == -OUT_OF_TIME:
+                lost = "hang"
         self.end()
         self.start()
         return lost

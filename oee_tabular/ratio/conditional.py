@@ -137,8 +137,9 @@ class Conditional(Method):
         _checks.instance(self.solver, str, "solver")
         box = check_box(self.lower, self.upper, normalized=True)
         prior = self.prior
-        if prior is not None and not isinstance(prior, str):
-            _checks.one_of(prior, "prior", tuple(PRIORS))
+        given: Any = self.prior
+        if given is not None and not isinstance(given, str):
+            _checks.one_of(given, "prior", tuple(PRIORS))
         if self.functions is not None:
             check_network(self)
             if prior not in (None, "none"):

@@ -134,11 +134,6 @@ def tandem(size: int = 45) -> Family:
         raise ArgumentError("size", f"must be at least 2; it is {size}")
     _checks.require_memory(3000.0 * size * size, "size", size, size=1)
 
-    size = _checks.positive_integer(size, "size")
-    if size < 2:
-        raise ArgumentError("size", f"must be at least 2; it is {size}")
-    _checks.require_memory(3000.0 * size * size, "size", size, size=1)
-
     def moves(
         state: IntArray, action: IntArray, arrival: float, first: float, second: float
     ) -> Moves:
