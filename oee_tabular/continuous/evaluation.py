@@ -364,7 +364,7 @@ def evaluate_continuous(
     compared = correction.learned
     if correction.fit is not None and not correction.steps:
         compared = correction.plain
-    advice = correction.advice(is_auto=history == "auto")
+    advice = correction.advice(is_auto=isinstance(history, str))
     sentences = (advice, correction.reason, difference(compared))
     first = tuple(sentence for sentence in sentences if sentence)
     caveat = ""

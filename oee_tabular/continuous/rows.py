@@ -30,6 +30,7 @@ from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cells import Grid
 from oee_tabular.continuous.correction import describe_flaw
+from oee_tabular.continuous.discretization import CellsLike
 from oee_tabular.continuous.episodes import (
     MonteCarlo,
     compare_returns,
@@ -379,7 +380,11 @@ class OnCells:
         floor = simulator.floor
         if settings.floor is not None:
             floor = _checks.number_in(settings.floor, "floor", 0.0, 1.0)
-        cells = None if settings.grid == "auto" else settings.grid
+        cells: CellsLike | None = None
+        if not isinstance(settings.grid, str):
+            cells = settings.grid
+        else:
+            _checks.one_of(settings.grid, "grid", ("auto",), " (or cells)")
         self.model = model = simulator.discretize(
             log, cells=cells, floor=floor, discount=discount
         )

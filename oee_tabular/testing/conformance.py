@@ -145,7 +145,9 @@ def check_estimator(
     (True, 'holds', 'not claimed')
     """
     _checks.boolean(from_pair, "from_pair")
-    chosen = list(LAWS) if laws is None else list(laws)
+    chosen = list(LAWS)
+    if laws is not None:
+        chosen = list(_checks.collection(laws, "laws", "a list of names"))
     for name in chosen:
         _checks.one_of(name, "laws", tuple(LAWS))
     check_numbers(seed, repetitions)
