@@ -11,9 +11,7 @@ from fuzz_values import Spite, SpiteOfText, spiteful, valid_values
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular._results import checked, conform
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, BoolArray, IntArray
 
 
 @pytest.fixture(scope="module")
@@ -215,83 +213,78 @@ def test_lists_become_what_is_declared():
     assert oee.Estimate(Decimal("0.5")).value == 0.5
 
 
-@checked(shapes={"names": "k", "table": "k m"}, levels=("level",), counts=("n",))
-@dataclasses.dataclass(frozen=True)
-class Own:
-    """A result that uses every rule."""
-
-    names: tuple[str, ...]
-    table: Array | None = None
-    flags: BoolArray | None = None
-    numbers: IntArray | None = None
-    level: float = 0.5
-    n: int = 0
-    anything: object = None
-
-    def __post_init__(self):
-        assert isinstance(self.names, tuple)  # the check comes first
-
-
 def test_the_rules_of_fields():
-    assert Own(["a", "b"], [[1], [2]]).table.tolist() == [[1.0], [2.0]]
-    assert Own(("a",), np.ones((1, 2))) == Own(("a",), np.ones((1, 2)))
-    assert Own(("a",), np.ones((1, 2))) != Own(("a",), np.zeros((1, 2)))
-    assert Own(("a",), anything={"x": np.ones(2)}) == Own(
-        ("a",), anything={"x": np.ones(2)}
-    )
-    assert Own((), flags=[], numbers=[]).flags.dtype == bool
-    for fields, argument in (
-        ({"names": "ab"}, "names"),
-        ({"names": ("a", 1)}, "names[1]"),
-        ({"names": ("a",), "table": np.ones((2, 1))}, "table"),
-        ({"names": ("a",), "table": np.ones(1)}, "table"),
-        ({"names": ("a",), "table": [["x"]]}, "table"),
-        ({"names": (), "flags": [0, 1]}, "flags"),
-        ({"names": (), "numbers": [0.5]}, "numbers"),
-        ({"names": (), "level": 0.0}, "level"),
-        ({"names": (), "level": float("nan")}, "level"),
-        ({"names": (), "n": -1}, "n"),
-        ({"names": (), "n": True}, "n"),
-        ({"names": (), "n": 2**64}, "n"),
+    pair = oee.testing.case("ragged")
+    plan = oee.plan_data_collection(pair.problem(50, seed=0), pair.policy, n=20)
+    outlook = plan.policies[0]
+    trace = oee.ratio.SgdTrace([1], [0.5], [0.25])
+    verdict = oee.testing.Verdict("limit", "holds", "x")
+    verdicts = oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict})
+    for result, fields, argument in (
+        (plan, {"policies": outlook}, "policies"),
+        (plan, {"policies": [outlook, "b"]}, "policies[1]"),
+        (plan, {"policies": ()}, "policies"),
+        (plan, {"counts": np.ones((2, 1))}, "counts"),
+        (plan, {"counts": np.ones(1)}, "counts"),
+        (plan, {"counts": [["x"]]}, "counts"),
+        (plan, {"costs": {"policy": np.ones((1, 1))}}, "costs['policy']"),
+        (plan, {"costs": {1: plan.counts}}, "a key of costs"),
+        (plan, {"optimistic": plan.counts}, "optimistic"),
+        (plan, {"next_pairs": [(0, 10**6)]}, "next_pairs[0]"),
+        (plan, {"next_pairs": [(0,)]}, "next_pairs[0]"),
+        (plan, {"next_pairs": [(0, 0.5)]}, "next_pairs[0][1]"),
+        (plan, {"sampling": "both"}, "sampling"),
+        (plan, {"confidence": 0.0}, "confidence"),
+        (outlook, {"confidence": float("nan")}, "confidence"),
+        (plan, {"n": -1}, "n"),
+        (plan, {"n": True}, "n"),
+        (plan, {"n": 2**64}, "n"),
+        (plan, {"restart": "no"}, "restart"),
+        (trace, {"iteration": [0.5]}, "iteration"),
+        (trace, {"error": [1.0, 2.0]}, "error"),
+        (verdicts, {"claims": ["limit"]}, "claims"),
+        (verdicts, {"claims": {1}}, "an item of claims"),
+        (verdicts, {"verdicts": {"limit": "holds"}}, "verdicts['limit']"),
+        (verdicts, {"verdicts": [("limit", verdict)]}, "verdicts"),
     ):
         with pytest.raises(ArgumentError) as caught:
-            Own(**fields)
+            dataclasses.replace(result, **fields)
         assert caught.value.argument == argument
-    itself = Own((), anything=[])
-    itself.anything.append(itself)
-    assert "..." in repr(itself)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'name'"):
-        Own(name="a")
+    assert dataclasses.replace(plan, policies=[outlook]).policies == (outlook,)
+    assert dataclasses.replace(verdicts, claims={"limit"}).claims == {"limit"}
+    with pytest.raises(TypeError, match="unexpected keyword argument 'laws'"):
+        oee.testing.Verdict(laws="limit", outcome="holds", text="x")
 
 
-@pytest.mark.parametrize(
-    ("value", "kind", "is_fit"),
-    [
-        ({"a": 1}, dict[str, float], True),
-        ({"a": 1}, dict[str, str], False),
-        ({1: "a"}, dict[str, str], False),
-        ([("a", 1)], dict[str, float], False),
-        ((1, 2.0), tuple[float, float], True),
-        ([1, 2.0], tuple[float, float], True),
-        ((1,), tuple[float, float], False),
-        (None, tuple[float, float] | None, True),
-        (None, float, False),
-        ("a", str | int, True),
-        (1.5, str | int, False),
-        (spiteful("__array__"), str, False),
-        ({"a"}, frozenset[str], True),
-        ({1}, frozenset[str], False),
-        ([1], frozenset[str], False),
-    ],
-)
-def test_conform(value, kind, is_fit):
-    if is_fit:
-        assert conform(value, "x", kind) == (
-            tuple(value) if isinstance(value, list) else value
-        )
-    else:
-        with pytest.raises(ArgumentError, match="x"):
-            conform(value, "x", kind)
+def test_arrays_are_compared_by_their_entries():
+    one, same, other = (oee.density_ratio([1, k], [2, 1]) for k in (2, 2, 3))
+    assert one == same
+    assert one != other
+    with_arrays = [
+        oee.Estimate(1.0, diagnostics={"x": np.array(x), "y": [np.ones(2)]})
+        for x in ([1.0, 2.0], [1.0, 2.0], [1.0, 3.0], [1.0])
+    ]
+    assert with_arrays[0] == with_arrays[1]
+    assert with_arrays[0] != with_arrays[2]
+    assert with_arrays[0] != with_arrays[3]
+
+
+def test_a_result_that_holds_itself_can_be_written():
+    holder = []
+    facts = {"limit": 1.0, "holder": holder}
+    interval = oee.Interval(0.0, 1.0, 0.95, "delta", facts)
+    decision = oee.inference.Decision(("a",), False, {"a": None}, None)
+    report = oee.evaluate(
+        oee.testing.case("ragged").problem(20, seed=0),
+        oee.testing.case("ragged").policy,
+        estimators=["simulator"],
+    )
+    report = dataclasses.replace(report, facts={**report.facts, "mine": holder})
+    holder += [interval, decision, report]
+    assert repr(interval)
+    assert interval._repr_html_()
+    assert repr(report)
+    assert dataclasses.replace(report) == report
 
 
 def test_an_error_of_a_callers_object_stays_what_it_is():
