@@ -10,10 +10,9 @@ import os
 import re
 import stat
 import tempfile
-import uuid
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -21,7 +20,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _writing
+from oee_tabular._writing import Output, Part
 from oee_tabular.exceptions import ArgumentError
 
 KIND = "oee_tabular_kind"
@@ -135,33 +135,67 @@ def read_text(path: str | os.PathLike[str]) -> str:
     return data.decode()
 
 
-def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
-    """Check that a file can be written at ``path``, and that nothing there is lost.
+def new_file(
+    path: str | os.PathLike[str],
+    name: str,
+    *,
+    overwrite: bool,
+    endings: tuple[str, ...] = (),
+) -> Output:
+    """Check that a command can write a file, and that nothing there is lost.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+    name : str
+        The option that gave it, with which errors begin.
+    overwrite : bool
+        Whether a regular file that is there is replaced.
+    endings : tuple of str
+        The endings that the file may have; without any, all.
+
+    Returns
+    -------
+    Output
+        What lets the file be written: ``with output.writing(): save(path)``.
 
     Raises
     ------
     ArgumentError
-        If something exists there and ``overwrite`` is False; ``name`` is the argument.
+        If something else is there, or a file and ``overwrite`` is False.
     OSError
         If no file can be written there.
     """
-    local(path)
-    if not overwrite and os.path.lexists(path):
+    require_ending(local(path, name), endings, name)
+    folder = Path(path).parent
+    output = Output(path, name, overwrite=overwrite)
+    _writing.sweep(folder)
+    output.check_file(Path(path))
+    _writing.require_folder(folder)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(
+            error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
+        ) from None
+    return output
+
+
+def has_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> bool:
+    """Say whether the name of a file ends so, in small or capital letters."""
+    return Path(path).name.lower().endswith(endings)
+
+
+def require_ending(
+    path: str | os.PathLike[str], endings: tuple[str, ...], name: str = "path"
+) -> None:
+    """Raise an ArgumentError where a file has none of the endings, if there are any."""
+    if endings and not has_ending(path, endings):
         raise ArgumentError(
-            name,
-            f"must be a new file, or be given with --overwrite; {os.fspath(path)!r}"
-            " exists already",
+            name, f"must end in {' or '.join(endings)}; it is {os.fspath(path)!r}"
         )
-    folder = Path(os.path.realpath(path)).parent
-    # in other cases the writer makes the folder, or reports that there is none
-    if Path(path).suffix and folder.is_dir():
-        try:
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-        except OSError as error:
-            raise OSError(
-                error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
-            ) from None
 
 
 @contextmanager
@@ -170,70 +204,49 @@ def whole_file(
 ) -> Iterator[IO[bytes]]:
     """Open a binary file that appears under its name only once it is complete.
 
-    The bytes go to a temporary file in the same folder, are flushed to disk and moved
-    to
-    ``path`` in one step. An error on the way leaves the old file in place, and names
-    ``path``. A link stays a link: the file that it leads to is replaced.
+    The bytes go to a part in the same folder, are flushed to disk and moved to ``path``
+    in one step. An error on the way leaves the old file in place, and names ``path``. A
+    link stays a link: the file that it leads to is replaced. Inside
+    ``Output.writing()`` the command's rules hold instead.
     """
-    if suffixes and Path(local(path)).suffix.lower() not in suffixes:
-        raise ArgumentError(
-            "path", f"must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}"
-        )
-    target = Path(os.path.realpath(local(path)))
-    if target.is_dir():
-        raise IsADirectoryError(
-            errno.EISDIR, "must be a file; it is a folder", os.fspath(path)
-        )
-    if target.is_symlink() or (target.exists() and not target.is_file()):
-        raise OSError(
-            errno.EINVAL,
-            "must be a file; it is something else (a loop of links, a device)",
-            os.fspath(path),
-        )
-    if not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
-    temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
-    try:
-        with open(temporary, "xb") as handle:
-            yield handle
-            handle.flush()
-            os.fsync(handle.fileno())
-        os.replace(temporary, target)
-    except OSError as error:
-        if error.errno is None or error.filename not in (
-            None,
-            str(temporary),
-            temporary,
-        ):
-            raise
-        raise OSError(
-            error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
-        ) from None
-    finally:
-        # a read-only disk refuses even if there is no such file
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    require_ending(local(path), suffixes)
+    part = Part(os.fspath(path))
+    with part as handle, part.errors():
+        yield handle
+        part.sync()
+        part.place()
 
 
-def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
+def write_all(
+    folder: Path, contents: Mapping[str, bytes], *, remove: Iterable[str] = ()
+) -> None:
     """Write every file of ``contents`` into ``folder``, or none of them.
 
-    Old files stay until all new ones are ready.
+    Old files stay until all new ones are ready. The new ones get their names in the
+    order in which they are given. Then those to ``remove`` are removed.
     """
-    made = not folder.exists()
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with ExitStack() as stack:
+            parts = []
             for name, data in contents.items():
-                handle = stack.enter_context(whole_file(folder / name))
-                handle.write(data)
-                handle.flush()
+                part = Part(os.fspath(folder / name))
+                handle = stack.enter_context(part)
+                with part.errors():
+                    handle.write(data)
                 # a full disk is an error here, before the first file has its name
-                os.fsync(handle.fileno())
+                part.sync()
+                parts.append(part)
+            _writing.place_all(parts)
     except BaseException:
-        if made:
-            folder.rmdir()
+        with contextlib.suppress(OSError):
+            for path in made:
+                path.rmdir()  # where nothing was written
         raise
+    for name in remove:
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
 
 
 def csv_bytes(frame: Any, **options: Any) -> bytes:

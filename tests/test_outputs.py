@@ -1,5 +1,6 @@
-"""What the commands write: nothing recorded is lost, links stay, no formulas; one
-command a folder; Ctrl-C.
+"""What the commands write: full disks, no formulas; one command a folder; Ctrl-C.
+
+What stands there already is in ``test_writing.py``.
 """
 
 import csv
@@ -41,21 +42,6 @@ def started(line, **options):
 # ---- what stands there already
 
 
-@pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
-def test_a_recorded_log_is_not_overwritten(tmp_path, capsys, name):
-    path = tmp_path / name
-    path.write_text("hours of work")
-    code, out, said = command(capsys, f"{SAMPLE} {path}")
-    assert (code, out) == (2, "")
-    assert (
-        said == "oee: --output must be a new file, or be given with --overwrite;"
-        f" {str(path)!r} exists already\n"
-    )
-    assert path.read_text() == "hours of work"
-    assert command(capsys, f"{SAMPLE} {path} --overwrite")[0] == 0
-    assert len(oee.Transitions.load(path)) > 0
-
-
 HYPHENS = f"""
 evaluate
 sample {GRID} --episodes 2
@@ -82,42 +68,6 @@ def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, line):
         " command found)" in said
     )
     assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
-
-
-def test_a_link_stays_a_link(tmp_path, capsys):
-    kept = tmp_path / "kept"
-    kept.mkdir()
-    log = kept / "log.npz"
-    log.write_text("old")
-    (tmp_path / "log.npz").symlink_to(log)
-    assert command(capsys, f"{SAMPLE} {tmp_path}/log.npz --overwrite")[0] == 0
-    (kept / "report.json").symlink_to(tmp_path / "elsewhere.json")  # leads nowhere yet
-    evaluate = (
-        f"evaluate --simulator {GRID} --log {log} --estimators simulator --output"
-        f" {kept}"
-    )
-    assert command(capsys, evaluate)[0] == 0
-    assert (tmp_path / "log.npz").is_symlink()
-    assert (kept / "report.json").is_symlink()
-    assert len(oee.Transitions.load(log)) > 0
-    assert "results" in json.loads((tmp_path / "elsewhere.json").read_text())
-    assert not [
-        path
-        for path in (*tmp_path.iterdir(), *kept.iterdir())
-        if path.suffix == ".part"
-    ]
-
-
-def test_a_folder_and_a_loop_of_links_are_named(tmp_path, capsys):
-    (tmp_path / "folder.npz").mkdir()
-    (tmp_path / "loop.npz").symlink_to(tmp_path / "loop.npz")
-    for name, text in (
-        ("folder.npz", "must be a file; it is a folder"),
-        ("loop.npz", "must be a file; it is something else"),
-    ):
-        code, _, said = command(capsys, f"{SAMPLE} {tmp_path / name} --overwrite")
-        assert code == 2
-        assert said.startswith(f"oee: {tmp_path / name}: {text}")
 
 
 # ---- a disk that is full

@@ -14,13 +14,7 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
 from oee_tabular._progress import is_terminal
-from oee_tabular.cli.inputs import (
-    describe_new,
-    policy_of,
-    read_columns,
-    task_of,
-    write_array,
-)
+from oee_tabular.cli.inputs import policy_of, read_columns, task_of, write_array
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
@@ -103,7 +97,7 @@ def sample(
         typer.Option(
             "--output",
             metavar="FILE",
-            help="The log: .npz, .csv, .parquet, or a new Minari folder.",
+            help="The log: .npz, .csv, .csv.gz, .parquet, or a new Minari folder.",
             rich_help_panel=OUTPUT,
         ),
     ],
@@ -126,10 +120,14 @@ def sample(
     for option, number in numbers.items():
         if number is not None:
             positive_integer(number, option)
-    _files.new_file(output, "--output", overwrite=overwrite)
+    from oee_tabular.data.files import new_log_file
+
+    has_vectors = is_continuous(environment)
+    kind = oee.ContinuousTransitions if has_vectors else oee.Transitions
+    file = new_log_file(kind.FILES, output, "--output", overwrite=overwrite)
     settings = task_options(task_option, ("state", "actions"))
     log: Any
-    if is_continuous(environment):
+    if has_vectors:
         for option, value in (("--initial", initial), ("--discount", discount)):
             if value is not None:
                 raise ArgumentError(
@@ -172,7 +170,8 @@ def sample(
                 action_names=task.mdp.action_names,
             )
         text = log.describe()
-    log.save(output)
+    with file.writing():
+        log.save(output)
     record = {
         "file": str(output),
         "transitions": len(log),
@@ -230,15 +229,16 @@ def policy(
             rich_help_panel=OUTPUT,
         ),
     ],
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a policy of a simulator to a file."""
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npy",))
     table = policy_of(spec, task_of(simulator, discount), "policy")
     n_states, n_actions = table.shape
-    text = (
-        f"{describe_new(output)}: policy of {n_states} states and {n_actions} actions"
-    )
-    write_array(output, table)
+    text = f"{output}: policy of {n_states} states and {n_actions} actions"
+    with file.writing():
+        write_array(output, table)
     record = {"file": str(output), "states": n_states, "actions": n_actions}
     print_result(text, record, as_json)
 
@@ -267,6 +267,7 @@ def export(
             rich_help_panel=OUTPUT,
         ),
     ],
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a simulator to a file.
@@ -274,13 +275,14 @@ def export(
     A continuous task is written as its finite MDP, with the cells and what they were
     made from.
     """
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npz",))
     task = task_of(simulator, discount, initial, samples_per_pair)
     mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
     saved: Any = mdp
     if task.discretization is not None and not action_noise and initial is None:
         saved = task.discretization
-    text = f"{describe_new(output)}: {saved!r}"
-    saved.save(output)
+    with file.writing():
+        saved.save(output)
     record = {
         "file": str(output),
         "discount": mdp.discount,
@@ -288,7 +290,7 @@ def export(
         "actions": mdp.n_actions,
         "transitions": mdp.transitions.nnz,
     }
-    print_result(text, record, as_json)
+    print_result(f"{output}: {saved!r}", record, as_json)
 
 
 def counts(
@@ -340,19 +342,20 @@ def counts(
     The file appears when all are counted. States and actions that the simulator does
     not have are bad rows.
     """
-    _files.new_file(output, "--output", overwrite=overwrite)
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npz",))
     mdp = None if simulator is None else task_of(simulator).mdp
     asked: dict[str, Any] = {"bad_rows": bad_rows, "kept_moves": kept_moves}
     asked["columns"] = read_columns(column, log)
     counted = oee.Transitions.open(
         log,
         simulator=mdp,
-        output=output,
         jobs=jobs,
         dask=dask,
         progress=is_terminal(sys.stderr),
         **asked,
     )
+    with file.writing():
+        counted.save(output)
     reasons = counted.recording.reasons
     lines = [f"{output}: {counted.describe()}"]
     lines += [f"dropped: {reason}" for reason in reasons]

@@ -336,11 +336,6 @@ def write_array(path: Path, array: Array) -> None:
         handle.write(content.getbuffer())
 
 
-def describe_new(path: Path) -> str:
-    """Return the name of a file to write, and whether it replaces another."""
-    return f"{path}{' (replaced)' if path.exists() else ''}"
-
-
 def read_problem(
     simulator: str,
     log: list[str],

@@ -198,7 +198,16 @@ OverwriteOption = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace the file if it exists (a Minari folder is never replaced).",
+        help="Replace a file that exists (a link or a Minari folder is never replaced).",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+OverwriteFolderOption = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace files that the command did not write, or that changed since.",
         rich_help_panel=OUTPUT,
     ),
 ]

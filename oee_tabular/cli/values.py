@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import oee_tabular as oee  # whose rooms are imported on use
-from oee_tabular import _files, _progress
+from oee_tabular import _files, _progress, _writing
 from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import (
     policies_of,
@@ -38,6 +39,7 @@ from oee_tabular.cli.options import (
     LogOption,
     OptionalLogOption,
     OptionalSimulatorOption,
+    OverwriteFolderOption,
     OverwriteOption,
     PoliciesOption,
     RewardsOption,
@@ -199,7 +201,8 @@ def evaluate(
         typer.Option(
             "--output",
             metavar="FOLDER",
-            help="Folder for report.json, table.csv and values.png.",
+            help="Folder for report.json, table.csv and values.png; those of the last"
+            " run are replaced.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -212,6 +215,7 @@ def evaluate(
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    overwrite: OverwriteFolderOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate the value of policies in the target.
@@ -219,7 +223,7 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    title, page = _read_page(output, report)
+    title, outputs = _read_outputs(output, report, overwrite=overwrite)
     settings = task_options(task_option)
     cells = read_grid(grid)
     _refuse_task_options(simulator, settings, cells, fit, history)
@@ -302,31 +306,39 @@ def evaluate(
         print_result(made.to_text(all=show_all, verbose=verbose), record, as_json)
     finally:
         # the files are written whatever becomes of standard output
-        written = _write_report(made, output, page, title)
+        written = _write_report(made, outputs, title)
     if written and not as_json:
-        say(f"\nWritten: {', '.join(written)}")
+        say(f"\nWritten: {', '.join(map(str, written))}")
 
 
-def _read_page(
-    output: Path | None, report: str | None
-) -> tuple[str | None, Path | None]:
+def _read_outputs(
+    folder: Path | None, report: str | None, *, overwrite: bool
+) -> tuple[str | None, list[_writing.Output]]:
     """Split TITLE=FILE.html, and check that folder and page can be written."""
-    if output is not None:
-        oee.report.check_output(output)
+    from oee_tabular.report.files import ReportOutput, new_page
+
+    outputs: list[_writing.Output] = []
+    if folder is not None:
+        outputs.append(ReportOutput(folder, "--output", overwrite=overwrite))
     if report is None:
-        return None, None
+        return None, outputs
     title, _, name = report.rpartition("=")
-    page = Path(name or report)
+    path = Path(name or report)
     if title and _is_place_of_page(Path(report), report):
-        if _is_place_of_page(page, report):
+        if _is_place_of_page(path, report):
             raise ArgumentError(
                 "--report",
                 f"must be clear; {report!r} and {name!r} can both be the file (write"
                 f" {title}=./{name}, or ./{report})",
             )
-        title, page = "", Path(report)
-    oee.report.check_page(page)
-    return title or None, page
+        title = ""
+        path = Path(report)
+    page = new_page(path, "--report", overwrite=overwrite)
+    if folder is not None and os.path.realpath(folder) == os.path.realpath(page.path):
+        raise ArgumentError(
+            "--report", f"must be no folder; {str(path)!r} is the folder of --output"
+        )
+    return title or None, [*outputs, page]
 
 
 def _is_place_of_page(page: Path, text: str) -> bool:
@@ -482,21 +494,18 @@ def _evaluate_finite(
 
 
 def _write_report(
-    report: Report, folder: Path | None, page: Path | None, title: str | None
-) -> list[str]:
-    """Write the report's files; return their names, and those that replace others."""
-    old: list[Path] = []
-    new: list[Path] = []
-    if folder is not None:
-        old += folder.glob("*")
-    if page is not None and page.exists():
-        old.append(page)
-    if folder is not None:
-        new += report.save(folder)
-    if page is not None:
-        report.to_html(page, title=title)
-        new.append(page)
-    return [f"{path} (replaced)" if path in old else str(path) for path in new]
+    report: Report, outputs: Sequence[_writing.Output], title: str | None
+) -> list[Path]:
+    """Write the folder and the page of a report; return the files."""
+    written: list[Path] = []
+    for output in outputs:
+        with output.writing():
+            if output.name == "--output":
+                written += report.save(output.path)
+            else:
+                report.to_html(output.path, title=title)
+                written.append(output.path)
+    return written
 
 
 def compare(
@@ -655,8 +664,11 @@ def plan(
     It prints a behaviour policy, and the width of each value's interval before and
     after.
     """
+    file = None
     if output is not None:
-        _files.new_file(output, "--output", overwrite=overwrite)
+        file = _files.new_file(
+            output, "--output", overwrite=overwrite, endings=(".npy",)
+        )
     settings = named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS)
     asked: dict[str, Any] = {name: literal(text) for name, text in settings.items()}
     asked |= read_box(box)
@@ -682,12 +694,15 @@ def plan(
     )
     text = str(made)
     record = made.to_dict() | {"file": None if output is None else str(output)}
-    if output is not None and free:
-        write_array(output, made.distribution)
-        text += f"\n{output}: shares of the pairs, (S, A), that sum to 1"
-    elif output is not None:
-        write_array(output, made.behavior_policy)
-        text += f"\n{output}: policy to record with"
+    if file is not None:
+        what = "shares of the pairs, (S, A), that sum to 1"
+        with file.writing():
+            if free:
+                write_array(file.path, made.distribution)
+            else:
+                write_array(file.path, made.behavior_policy)
+                what = "policy to record with"
+        text += f"\n{output}: {what}"
     print_result(text, record, as_json)
 
 
@@ -751,6 +766,7 @@ def reproduce(
             rich_help_panel=OUTPUT,
         ),
     ] = False,
+    overwrite: OverwriteFolderOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Reproduce the paper's figures, and more.
@@ -785,6 +801,7 @@ def reproduce(
             dask=dask,
             output=output,
             fresh=fresh,
+            overwrite=overwrite,
             say=say,
         ),
         as_json,
@@ -879,6 +896,7 @@ def bench(
         bool,
         typer.Option("--fresh", help="Empty the folder first.", rich_help_panel=OUTPUT),
     ] = False,
+    overwrite: OverwriteFolderOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure estimators where the truth is exact.
@@ -900,6 +918,7 @@ def bench(
             dask=dask,
             output=output,
             fresh=fresh,
+            overwrite=overwrite,
             say=say,
         ),
         as_json,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,7 +23,7 @@ from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.frames import is_minari, minari_episodes
 from oee_tabular.data.labels import ColumnsLike, show_labels, suggest_columns
 from oee_tabular.data.rules import check_array
-from oee_tabular.data.tables import read_labels
+from oee_tabular.data.tables import LogFile, read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
 
@@ -50,7 +49,6 @@ class VectorFormat(Format):
     """
 
     kind = "continuous_transitions"
-    endings = ".npz, .csv, .parquet"
     writes_minari = False
     has_vectors = True
 
@@ -147,7 +145,7 @@ def holds_states(
     Several labels to a state may make a name as well, and say nothing.
     """
     name = _files.local(path)
-    suffix = Path(name).suffix.lower()
+    suffix = LogFile(name).suffix
     if suffix == ".npz":
         return _files.npz_kind(_files.read_npz(name)) == VECTORS.kind
     if suffix in (".csv", ".parquet"):

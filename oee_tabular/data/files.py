@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import glob
+import gzip
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeAlias
+from typing import IO, Any, Self, TypeAlias, cast
 from urllib.parse import unquote
 
 import numpy as np
 
-from oee_tabular import _checks, _files
-from oee_tabular.data.frames import is_minari, minari_columns, save_minari
+from oee_tabular import _checks, _files, _writing
+from oee_tabular.data.frames import (
+    find_new_folder,
+    is_minari,
+    minari_columns,
+    save_minari,
+)
 from oee_tabular.data.labels import (
     ColumnsLike,
     Matching,
@@ -61,7 +68,9 @@ class Format:
 
     kind = "transitions"  # of an npz
     required = MOVE
-    endings = ".npz, .csv, .csv.gz, .parquet, or be a Minari folder or id"
+    endings = (
+        ".npz, .csv, .csv.gz, .parquet, or be a Minari folder or id"  # that are read
+    )
     writes_minari = True
     has_vectors = False
 
@@ -116,28 +125,62 @@ class Format:
             )
 
 
+def is_minari_target(form: Format, name: str) -> bool:
+    """Say whether a log of this form is written to ``name`` as a Minari data set."""
+    is_bare = Path(name).suffix == "" and not _files.has_ending(name, ENDINGS)
+    return form.writes_minari and (name.startswith("minari:") or is_bare)
+
+
+def new_log_file(
+    form: Format, path: str | os.PathLike[str], name: str, *, overwrite: bool
+) -> _writing.Output:
+    """Check that a command can write a log of this form, before it is recorded.
+
+    ``_files.new_file`` has the arguments; a Minari data set is never overwritten.
+    """
+    if is_minari_target(form, _files.local(path, name)):
+        find_new_folder(os.fspath(path), name)
+        return _writing.Output(path, name, overwrite=False)
+    _require_ending(form, os.fspath(path), name)
+    return _files.new_file(path, name, overwrite=overwrite)
+
+
+def _require_ending(form: Format, path: str, name: str) -> None:
+    """Raise an ArgumentError where no log of this form is written to such a file."""
+    if not _files.has_ending(path, ENDINGS):
+        endings = ".npz, .csv, .csv.gz, .parquet"
+        if form.writes_minari:
+            endings += ", or be a new Minari folder or id"
+        raise ArgumentError(name, f"must end in {endings}; it is {path!r}")
+
+
 def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     """Write ``log`` in the format that the path's ending names."""
     name = _files.local(path)
-    suffix = Path(name).suffix.lower()
-    if form.writes_minari and (name.startswith("minari:") or suffix == ""):
+    if is_minari_target(form, name):
         save_minari(log, name)
-    elif suffix == ".npz":
+        return
+    _require_ending(form, name, "path")
+    if _files.has_ending(name, (".npz",)):
         columns = log.columns()
         for label, column in columns.items():
             if column.dtype.hasobject:
                 columns[label] = to_text(column)
         _files.save_npz(name, form.kind, columns)
-    elif suffix == ".csv":
-        import pandas as pd
-
-        with _files.whole_file(name) as handle:
-            pd.DataFrame(form.to_table(log.columns())).to_csv(handle, index=False)
-    elif suffix == ".parquet":
+    elif _files.has_ending(name, (".parquet",)):
         with _files.whole_file(name) as handle:
             write_parquet(handle.name, form.to_table(log.columns()))
     else:
-        raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
+        import pandas as pd
+
+        frame = pd.DataFrame(form.to_table(log.columns()))
+        with _files.whole_file(name) as handle, contextlib.ExitStack() as stack:
+            target = handle
+            if _files.has_ending(name, (".gz",)):
+                # without name and time, the same log gives the same bytes
+                packed = gzip.GzipFile("", "wb", fileobj=handle, mtime=0)
+                target = cast("IO[bytes]", stack.enter_context(packed))
+            frame.to_csv(target, index=False)
 
 
 def load(

@@ -6,7 +6,6 @@ import errno
 import importlib.util
 import itertools
 import os
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks, _files
+from oee_tabular import _checks, _files, _writing
 from oee_tabular.data.labels import (
     ColumnsLike,
     check_columns,
@@ -432,28 +431,38 @@ def find_folder(identifier: str) -> Path:
     return Path(get_dataset_path(identifier))
 
 
+def find_new_folder(name: str, argument: str = "path") -> Path:
+    """Return where the Minari data set ``name`` belongs, if nothing is there yet."""
+    require_minari()
+    is_id = name.startswith("minari:")
+    target = find_folder(name.removeprefix("minari:")) if is_id else Path(name)
+    if os.path.lexists(target):
+        raise ArgumentError(
+            argument, f"must be a new folder; {str(target)!r} exists already"
+        )
+    return target
+
+
 def save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
     # asyncio comes with it, for which every command would wait .04 s
     from unittest import mock
 
-    require_minari()
+    target = find_new_folder(name)
     _require_minari_columns(log)
     is_id = name.startswith("minari:")
     identifier = name.removeprefix("minari:") if is_id else "oee/log-v0"
-    target = find_folder(identifier) if is_id else Path(name)
-    if target.exists():
-        raise ArgumentError(
-            "path", f"must be a new folder; {str(target)!r} exists already"
-        )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         absolute = target.parent.absolute()  # Minari joins a relative one twice
-        with tempfile.TemporaryDirectory(dir=absolute, prefix=".minari-") as root:
-            with mock.patch.dict(os.environ, {FOLDER: root}):
+        with _writing.folder_part(absolute, target.name) as root:
+            with mock.patch.dict(os.environ, {FOLDER: str(root)}):
                 _write_minari(log, identifier)
-            os.replace(Path(root) / identifier, target)
+            find_new_folder(name)  # moving would replace an empty one
+            os.replace(root / identifier, target)
     except OSError as error:  # of a file inside, or of none
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            find_new_folder(name)  # another process has made it
         number = error.errno or errno.EIO
         raise OSError(
             number, f"cannot be written ({os.strerror(number)})", str(target)

@@ -33,7 +33,7 @@ import joblib
 import numpy as np
 import pandas as pd
 
-from oee_tabular import _files
+from oee_tabular import _files, _writing
 from oee_tabular._arguments import own_module_first, own_modules
 from oee_tabular._checks import show
 from oee_tabular._parallel import DEATHS, backend, parallel
@@ -49,7 +49,7 @@ from oee_tabular.lab.experiment import (
 )
 
 PACKAGE = Path(__file__).parents[1]
-LOCK = ".lock"
+LOCK = _writing.LOCK
 SETTINGS = "settings.json"
 CELLS = "cells.jsonl"
 FILES = (
@@ -68,7 +68,6 @@ FILES = (
     "profile.png",
     "heat.png",
 )
-NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # a flag that Windows lacks
 # Errors that reading a damaged file raises: damaged text, lists a thousand deep, and
 # values of other types.
 DAMAGE = (
@@ -111,8 +110,9 @@ def refuse_links(
 
     It could lead out of the folder. With ``are_folders`` the names must be folders.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ArgumentError(f"{folder}", "must be a folder; it is a file")
+    if os.path.lexists(folder) and not folder.is_dir():
+        kind = "a file" if folder.is_file() else "none"
+        raise ArgumentError(f"{folder}", f"must be a folder; it is {kind}")
     for path in (folder / name for name in names):
         is_right = path.is_dir() if are_folders else path.is_file()
         if path.is_symlink() or (path.exists() and not is_right):
@@ -130,39 +130,10 @@ def alone(folder: Path) -> Iterator[None]:
     ValueError says that another command holds it, or that a file in it is a link. The
     lock is the system's: it ends with the process that holds it, however it dies.
     """
-    from filelock import FileLock, Timeout
-
     refuse_links(folder)
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / LOCK
-    lock = FileLock(path, timeout=0)  # which opens no link
-    try:
-        lock.acquire()
-    except Timeout:
-        holder = ""
-        if path.is_file():
-            holder = path.read_text(errors="replace")[:20].strip()
-        process = f" (process {holder})" if holder else ""
-        raise ArgumentError(
-            f"{folder}",
-            f"must be used by one command at a time; another{process} is at work in it:"
-            " wait for it, or name another folder with --output",
-        ) from None
-    except OSError as error:
-        raise OSError(
-            error.errno, f"cannot be written ({error.strerror})", str(path)
-        ) from None
-    try:
-        path.write_text(f"{os.getpid()}\n")
+    remedy = "wait for it, or name another folder with --output"
+    with _writing.alone_in(folder, remedy):
         yield
-    finally:
-        with contextlib.suppress(OSError):  # Windows removes no open file
-            path.unlink()
-        lock.release()
-        with contextlib.suppress(OSError):
-            for path in new:
-                path.rmdir()  # where nothing was written
 
 
 class Store:
@@ -178,6 +149,8 @@ class Store:
         Whether the folder is emptied first.
     code : str, optional
         The version of the code, as ``code_version`` returns it.
+    overwrite : bool, default True
+        Whether files are replaced that no run wrote here, or that have changed since.
 
     Attributes
     ----------
@@ -193,7 +166,8 @@ class Store:
     ValueError
         If the folder holds results of other settings (the difference is named), unless
         ``fresh`` is given. More repetitions are no other settings, nor are fewer where
-        the sweep was interrupted: finished cells are kept.
+        the sweep was interrupted: finished cells are kept. If a file would be lost,
+        unless ``overwrite`` is True.
     """
 
     def __init__(
@@ -203,16 +177,19 @@ class Store:
         *,
         fresh: bool = False,
         code: str | None = None,
+        overwrite: bool = True,
     ):
         """Read the finished cells of the folder."""
         self.folder = folder
         self.settings = settings
         self.code = code_version(*settings.modules) if code is None else code
+        self.overwrite = overwrite
         refuse_links(folder)
         if fresh and folder.exists():
             self._empty()
         if (folder / SETTINGS).is_file():
             self._compare()
+        self._own_files()
         self._done: dict[str, list[Row]] = {}
         self.computed = self.cached = 0
         self._others: list[str] = []
@@ -246,7 +223,7 @@ class Store:
         others = sorted(
             path.name
             for path in present
-            if path.name not in FILES and path.suffix != ".part"
+            if path.name not in FILES and not _writing.PART.fullmatch(path.name)
         )
         if others:
             raise ArgumentError(
@@ -254,8 +231,39 @@ class Store:
                 "must hold results only to be emptied; it holds"
                 f" {', '.join(others[:3])}",
             )
+        if present:
+            _read_settings(self.folder / SETTINGS)
         for path in present:
             path.unlink()
+
+    def _own_files(self) -> dict[str, str]:
+        """Return the digests of the files that are as a run wrote them here, by name.
+
+        Raises an ArgumentError for the first other one that would be lost.
+        """
+        listed = _writing.listed_files(self.folder, SETTINGS)
+        own = {}
+        for name in FILES[1:]:
+            path = self.folder / name
+            if not path.exists() or (
+                name == CELLS and (self.folder / SETTINGS).exists()
+            ):
+                continue  # the lines of finished cells have checksums of their own
+            digest = _writing.digest_of(path)
+            if digest is not None and digest in listed.get(name, ()):
+                own[name] = digest
+            elif not self.overwrite:
+                raise ArgumentError(
+                    f"{str(path)!r}",
+                    "must be as the last run of this version wrote it; it is not"
+                    " (--overwrite replaces it; --output names another folder)",
+                )
+        return own
+
+    def _settings_bytes(self, files: Mapping[str, str]) -> bytes:
+        """Return settings.json, with the digests of the files by name."""
+        content = self.settings.as_dict() | {"files": dict(files)}
+        return (json.dumps(content, indent=1) + "\n").encode()
 
     def _compare(self) -> None:
         """Raise ValueError with the difference where the folder has other settings."""
@@ -330,14 +338,14 @@ class Store:
         Lines that did not fit leave cells.jsonl.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
+        settings = self._settings_bytes(self._own_files())
         own = [
             self._line(json.loads(name), rows, self.code)
             for name, rows in self._done.items()
         ]
         lines = [*self._others, *own]
         _files.write_all(
-            self.folder, {SETTINGS: settings.encode(), CELLS: "".join(lines).encode()}
+            self.folder, {SETTINGS: settings, CELLS: "".join(lines).encode()}
         )
 
     def _line(self, cell: Cell, rows: list[Row], code: str) -> str:
@@ -370,7 +378,9 @@ class Store:
             with open(
                 path,
                 "a",
-                opener=lambda name, flags: os.open(name, flags | NO_LINK, 0o666),
+                opener=lambda name, flags: os.open(
+                    name, flags | _writing.NO_LINK, 0o666
+                ),
             ) as handle:
                 handle.write(line)
         except OSError as error:
@@ -380,9 +390,12 @@ class Store:
         self._done[_name(cell)] = json.loads(line)["content"]["rows"]
 
     def save(self, contents: Mapping[str, bytes]) -> None:
-        """Write files by name, all or none."""
+        """Write files by name, all or none; settings.json lists their digests."""
         refuse_links(self.folder)
-        _files.write_all(self.folder, contents)
+        files = self._own_files()
+        files |= {name: _writing.sha256(data) for name, data in contents.items()}
+        settings = self._settings_bytes(files)
+        _files.write_all(self.folder, {**contents, SETTINGS: settings})
 
     def table(self) -> pd.DataFrame:
         """Return all rows in the order of the cells, each with its settings first."""
@@ -442,6 +455,7 @@ def run_and_write(
     jobs: int = 1,
     dask: str | None = None,
     fresh: bool = False,
+    overwrite: bool = True,
     progress: bool = False,
 ) -> None:
     """Compute the cells of a folder that is this command's alone, and write its files.
@@ -451,7 +465,13 @@ def run_and_write(
     start = time.perf_counter()
     with alone(folder):
         store = run_experiment(
-            folder, settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress
+            folder,
+            settings,
+            jobs=jobs,
+            dask=dask,
+            fresh=fresh,
+            overwrite=overwrite,
+            progress=progress,
         )
         write(store)
     say(f"{store} ({time.perf_counter() - start:.0f} s)")
@@ -464,13 +484,15 @@ def run_experiment(
     jobs: int = 1,
     dask: str | None = None,
     fresh: bool = False,
+    overwrite: bool = True,
     progress: bool = False,
 ) -> Store:
     """Compute the cells that are not in the folder yet.
 
     ``jobs``: processes on this machine, no more than cells are left; -1: one a core.
     ``dask``: address of a scheduler, where the cells go instead. ``fresh``: empty the
-    folder first. Nothing is written before the workers are there and have this code.
+    folder first. ``overwrite``: replace files that no run wrote. Nothing is written
+    before the workers are there and have this code.
     """
     is_integer = isinstance(jobs, int | np.integer) and not isinstance(jobs, bool)
     if not is_integer or jobs == 0 or jobs < -1:
@@ -485,7 +507,7 @@ def run_experiment(
             # Workers of an earlier run may stand in another folder, with modules of the
             # same names.
             joblib.externals.loky.get_reusable_executor().shutdown(wait=True)
-        store = Store(folder, settings, fresh=fresh)
+        store = Store(folder, settings, fresh=fresh, overwrite=overwrite)
         store.open()
         todo = store.missing()
         total = len(settings.cells())

@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks, _files, _printing
+from oee_tabular import _checks, _files, _printing, _writing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
+
+INDEX = "report.json"  # which lists the other files of a report
+NAMES = (INDEX, "table.csv", "values.png")
 
 
 @suggest_keywords
@@ -48,11 +51,12 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     """
     path = Path(_files.local(folder, _checks.instance(name, str, "name")))
     nearest = path
-    while not nearest.exists() and nearest != nearest.parent:
+    while not os.path.lexists(nearest) and nearest != nearest.parent:
         nearest = nearest.parent
     if not nearest.is_dir():
+        kind = "a file" if nearest.is_file() else "no folder"
         raise ArgumentError(
-            name, f"must be a folder that can be written; {str(nearest)!r} is a file"
+            name, f"must be a folder that can be written; {str(nearest)!r} is {kind}"
         )
     try:
         with tempfile.TemporaryFile(dir=nearest):
@@ -109,6 +113,113 @@ def check_page(path: str | os.PathLike[str]) -> Path:
         )
     check_output(file.parent, "report's folder")
     return file
+
+
+class ReportOutput(_writing.Output):
+    """The folder of a command's report: asked before the work, written after it.
+
+    Files of the last report are replaced unasked where they still are as it wrote them.
+    Files of other names are left alone.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], name: str, *, overwrite: bool):
+        super().__init__(path, name, overwrite=overwrite)
+        check_output(self.path, name)
+        known = _known_digests(self.path)
+        self.states = self._find_states()
+        self.own = {file for file in NAMES if self.states[file] in known.get(file, ())}
+        for file in NAMES:
+            self.check_file(self.path / file)
+
+    def refuse(self, path: Path) -> None:
+        """Raise the ArgumentError for a file that no report wrote, or that changed."""
+        raise ArgumentError(
+            self.name,
+            "must be a folder in which nothing is lost, or be given with --overwrite;"
+            f" {str(path)!r} is not as the last oee evaluate of this version wrote it",
+        )
+
+    def _find_states(self) -> dict[str, str | None]:
+        """Return the digest of each file that is there, None of the others."""
+        return {file: _writing.digest_of(self.path / file) for file in NAMES}
+
+    def check_again(self) -> None:
+        """Raise an ArgumentError where the folder has changed since it was asked."""
+        now = self._find_states()
+        changed = [file for file in NAMES if now[file] != self.states[file]]
+        if changed and not self.overwrite:
+            raise ArgumentError(
+                self.name,
+                "must be a folder that one command writes at a time, or be given with"
+                f" --overwrite; {str(self.path / changed[0])!r} has changed while this"
+                " one was at work",
+            )
+
+
+def new_page(
+    path: str | os.PathLike[str], name: str, *, overwrite: bool
+) -> _writing.Output:
+    """Check that a command can write a page, and that nothing there is lost."""
+    page = check_page(path)
+    output = _writing.Output(page, name, overwrite=overwrite)
+    _writing.sweep(page.parent)
+    output.check_file(page)
+    return output
+
+
+def _known_digests(folder: Path) -> dict[str, set[str]]:
+    """Return the digests of the files that reports in the folder list, by name.
+
+    The index has its own among them, without which an edited one would be lost.
+    """
+    known = _writing.listed_files(folder, INDEX)
+    known[INDEX] = set()
+    content = _writing.read_index(folder / INDEX)
+    files = content.get("files")
+    if isinstance(files, dict):
+        content["files"] = {file: files[file] for file in files if file != INDEX}
+        bytes_again = _seal(content)
+        # the same bytes: as it was written, to the last blank
+        if files.get(INDEX) == _writing.sha256(_index_bytes(content)):
+            known[INDEX].add(_writing.sha256(bytes_again))
+    return known
+
+
+def _index_bytes(content: Mapping[str, Any]) -> bytes:
+    """Return a report's content as the bytes of its JSON file."""
+    return (json.dumps(content, indent=2) + "\n").encode()
+
+
+def _seal(content: Mapping[str, Any]) -> bytes:
+    """Return the bytes of an index with a digest of all else that it holds."""
+    own = _writing.sha256(_index_bytes(content))
+    return _index_bytes({**content, "files": {**content["files"], INDEX: own}})
+
+
+def write_report(
+    folder: Path, record: Mapping[str, Any], contents: Mapping[str, bytes]
+) -> list[Path]:
+    """Write a report's files and the index that lists their digests: all, or none.
+
+    Files of an earlier report that are not written any more are removed, unless they
+    have changed.
+    """
+    digests = {name: _writing.sha256(data) for name, data in contents.items()}
+    index = _seal({**record, "files": digests})
+    remedy = "wait for it, or name another folder"
+    with _writing.alone_in(folder, remedy, seconds=_writing.LOCK_SECONDS):
+        output = _writing.current_output()
+        if isinstance(output, ReportOutput):
+            output.check_again()
+        known = _known_digests(folder)
+        old = [
+            file
+            for file in NAMES[1:]
+            if file not in contents
+            and _writing.digest_of(folder / file) in known.get(file, ())
+        ]
+        _files.write_all(folder, {**contents, INDEX: index}, remove=old)
+    return [folder / name for name in (INDEX, *contents)]
 
 
 def plain(value: object) -> Any:

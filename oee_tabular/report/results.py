@@ -19,7 +19,7 @@ from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
 from oee_tabular.plots.style import draw_or_warn
 from oee_tabular.report import tables, text
-from oee_tabular.report.files import check_output, check_page, plain
+from oee_tabular.report.files import check_output, check_page, plain, write_report
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending_key
 from oee_tabular.typing import Array
@@ -613,6 +613,10 @@ class Report:
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write report.json, table.csv and values.png: all of them or none.
 
+        Files of these names are replaced. report.json is ``to_dict`` with one field
+        more: ``files``, the SHA-256 of each file by its name (its own is that of the
+        JSON without it).
+
         Parameters
         ----------
         folder : str or path
@@ -629,21 +633,17 @@ class Report:
             If the folder cannot be written.
         """
         check_output(folder, "folder")
-        target = Path(folder)
         height = 1.8 + 0.27 * (len(self.rows()) + len(self.answers))  # inches
         contents = {
-            "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
         }
         picture = draw_or_warn(
             "values.png", lambda: figure_png(self.plot, size=(7.2, height))
         )
+        # without it, the picture of another report is removed
         if picture is not None:
             contents["values.png"] = picture
-        elif (target / "values.png").is_file():
-            (target / "values.png").unlink()  # it shows another report
-        _files.write_all(target, contents)
-        return [target / name for name in contents]
+        return write_report(Path(folder), self.to_dict(), contents)
 
     def to_html(
         self,

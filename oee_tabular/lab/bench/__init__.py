@@ -44,7 +44,13 @@ from oee_tabular.lab.bench.adapters import PEERS, Peer
 from oee_tabular.lab.bench.families import HELD, Families, families, garnet_worse
 from oee_tabular.lab.bench.families_chains import tandem
 from oee_tabular.lab.bench.family import Family, check_seed
-from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_of
+from oee_tabular.lab.bench.league import (
+    LIKELIHOOD,
+    SIMULATOR,
+    League,
+    league_files,
+    league_of,
+)
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
 from oee_tabular.testing.conformance import own_estimator
@@ -586,6 +592,7 @@ def bench(
     jobs: int = 1,
     dask: str | None = None,
     fresh: bool = False,
+    overwrite: bool = True,
 ) -> None:
     """Do one run of ``oee bench`` and write its files.
 
@@ -630,11 +637,8 @@ def bench(
             name: find_family(source, name, seed).about
             for name in map(str, settings.axes["family"])
         }
-        league.save(
-            output,
-            about=about,
-            command=f"oee bench --estimators {estimators}{''.join(words)}",
-        )
+        command = f"oee bench --estimators {estimators}{''.join(words)}"
+        store.save(league_files(league, about, command))
         say(f"{league}\n")
 
     run_and_write(
@@ -645,6 +649,7 @@ def bench(
         jobs=jobs,
         dask=dask,
         fresh=fresh,
+        overwrite=overwrite,
         progress=is_terminal(sys.stderr),
     )
     own = families_at(None, seed)

@@ -645,22 +645,30 @@ class League:
         """
         conform(folder, "folder", str | PathLike)
         conform(about, "about", dict[str, str] | None)
-        contents = {
-            "table.csv": _files.csv_bytes(self.table),
-            "cells.csv": _files.csv_bytes(self.cells, float_format="%.6g"),
-            "league.csv": _files.csv_bytes(self.league, float_format="%.6g"),
-            "league.md": self.page(about or {}, command).encode(),
-            "league.tex": self.to_latex().encode(),
-        }
-        for name in PICTURES:
-            draw = functools.partial(
-                draw_bytes, getattr(self, name), salt="bench", kinds=("png",)
-            )
-            pictures = draw_or_warn(f"{name}.png", draw)
-            contents |= {f"{name}.png": data for data in (pictures or {}).values()}
+        contents = league_files(self, about, command)
         refuse_links(Path(folder))
         _files.write_all(Path(folder), contents)
         return [Path(folder) / name for name in contents]
+
+
+def league_files(
+    league: League, about: Mapping[str, str] | None = None, command: str = ""
+) -> dict[str, bytes]:
+    """Return the bytes of the files that ``League.save`` writes, by name."""
+    contents = {
+        "table.csv": _files.csv_bytes(league.table),
+        "cells.csv": _files.csv_bytes(league.cells, float_format="%.6g"),
+        "league.csv": _files.csv_bytes(league.league, float_format="%.6g"),
+        "league.md": league.page(about or {}, command).encode(),
+        "league.tex": league.to_latex().encode(),
+    }
+    for name in PICTURES:
+        draw = functools.partial(
+            draw_bytes, getattr(league, name), salt="bench", kinds=("png",)
+        )
+        pictures = draw_or_warn(f"{name}.png", draw)
+        contents |= {f"{name}.png": data for data in (pictures or {}).values()}
+    return contents
 
 
 def _axes(figure: Any, **labels: str) -> Any:

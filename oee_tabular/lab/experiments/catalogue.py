@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from oee_tabular import _files
+from oee_tabular import _files, _writing
 from oee_tabular._progress import is_terminal
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import Experiment, files_of
@@ -23,6 +23,10 @@ from oee_tabular.lab.experiments import (
 )
 from oee_tabular.lab.run import Store, refuse_links, require_modules, run_and_write
 
+INDEX = "index.md"
+# the last line of an index, without which an edited one would be lost
+MARK = b"<!-- SHA-256 of what oee reproduce wrote above: "
+MARK_END = b" -->\n"
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.id: experiment
     for experiment in (
@@ -109,12 +113,14 @@ def reproduce(
     jobs: int = 1,
     dask: str | None = None,
     fresh: bool = False,
+    overwrite: bool = True,
 ) -> None:
     """Run the experiments one after the other; the folder's index is written last.
 
     An experiment whose extra is not installed is left out with a sentence, and an error
     where nothing else was asked for. Folders with other settings are refused before
-    anything runs. ``jobs``, ``dask`` and ``fresh`` are as in ``run_experiment``.
+    anything runs. ``jobs``, ``dask`` and ``fresh`` are as in ``run_experiment``,
+    and so is ``overwrite``.
     """
     if seeds is not None and seeds < 1:
         raise ArgumentError("--seeds", f"must be at least 1; got {seeds}")
@@ -133,13 +139,14 @@ def reproduce(
     prefix = "smoke/" if smoke else ""
     folders = ["smoke", *(f"{prefix}{own.id}" for own in chosen)]
     refuse_links(output, folders, are_folders=True)
+    _require_own_index(folder, overwrite=overwrite)
     every = [
         experiment.settings(smoke=smoke, repetitions=seeds, seed=seed)
         for experiment in chosen
     ]
     if not fresh:
         for settings in every:
-            Store(folder / settings.experiment.id, settings)
+            Store(folder / settings.experiment.id, settings, overwrite=overwrite)
     for settings in every:
         target = folder / settings.experiment.id
         progress = is_terminal(sys.stderr)
@@ -151,9 +158,10 @@ def reproduce(
             jobs=jobs,
             dask=dask,
             fresh=fresh,
+            overwrite=overwrite,
             progress=progress,
         )
-    say(f"Index: {write_index(folder)}")
+    say(f"Index: {write_index(folder, overwrite=overwrite)}")
     for reason in missing:
         say(f"Left out: {reason}")
 
@@ -163,8 +171,26 @@ def save(store: Store) -> None:
     store.save(files_of(store.settings, store.table()))
 
 
-def write_index(output: Path) -> Path:
-    """Write ``index.md`` of all experiments that have results in the folder."""
+def _require_own_index(output: Path, *, overwrite: bool) -> None:
+    """Raise an ArgumentError where an index that no run wrote would be lost."""
+    refuse_links(output, [INDEX])
+    path = output / INDEX
+    if overwrite or not path.exists():
+        return
+    text, _, mark = path.read_bytes().rpartition(MARK)
+    if mark.removesuffix(MARK_END).decode("ascii", "replace") != _writing.sha256(text):
+        raise ArgumentError(
+            f"{str(path)!r}",
+            "must be as the last oee reproduce of this version wrote it; it is not"
+            " (--overwrite replaces it; --output names another folder)",
+        )
+
+
+def write_index(output: Path, *, overwrite: bool = True) -> Path:
+    """Write ``index.md`` of all experiments that have results in the folder.
+
+    A comment at its end has its digest.
+    """
     parts = ["# Results"]
     for experiment in EXPERIMENTS.values():
         if (output / experiment.id / "summary.md").is_file():
@@ -175,6 +201,8 @@ def write_index(output: Path) -> Path:
                 f"![{title}]({folder}/figure.png)",
                 experiment.caption,
             ]
-    refuse_links(output, ["index.md"])
-    _files.write_all(output, {"index.md": ("\n\n".join(parts) + "\n").encode()})
-    return output / "index.md"
+    text = ("\n\n".join(parts) + "\n\n").encode()
+    mark = MARK + _writing.sha256(text).encode() + MARK_END
+    _require_own_index(output, overwrite=overwrite)
+    _files.write_all(output, {INDEX: text + mark})
+    return output / INDEX
