@@ -79,8 +79,9 @@ class LogFile(NamedTuple):
     @property
     def suffix(self) -> str:
         """Return .csv, .parquet or .npz; .csv of a compressed one."""
-        path = Path(self.path.lower())
-        return Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
+        name = Path(self.path.lower()).name.removesuffix(".gz")
+        # of a hidden file as well, whose whole name is the ending
+        return "".join(name.rpartition(".")[1:]) if "." in name else ""
 
 
 class Piece(NamedTuple):

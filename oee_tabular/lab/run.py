@@ -262,7 +262,7 @@ class Store:
 
     def _settings_bytes(self, files: Mapping[str, str]) -> bytes:
         """Return settings.json, with the digests of the files by name."""
-        content = self.settings.as_dict() | {"files": dict(files)}
+        content = self.settings.as_dict() | {"files": dict(sorted(files.items()))}
         return (json.dumps(content, indent=1) + "\n").encode()
 
     def _compare(self) -> None:

@@ -83,7 +83,7 @@ def test_a_function_s_mdp_and_one_that_is_sampled(run):
     assert (
         abs(made.transitions - oee.tasks.gridworld(3, slip=0.2).transitions).max() == 0
     )
-    run("export own_worlds:named --discount 0.5 --output made.npz")
+    run("export own_worlds:named --discount 0.5 --output made.npz --overwrite")
     assert oee.FiniteMDP.load("made.npz").discount == 0.5
     run(
         "export own_worlds:Corridor,table=False --output sampled.npz"
@@ -152,12 +152,12 @@ def test_policies_from_files(run, folder):
     for name, lines in TABLES.items():
         (folder / f"{name}.csv").write_text("\n".join(lines))
     for file in ("array.npy", "named.npz", *(f"{name}.csv" for name in TABLES)):
-        run("policy sim.npz", file, "--output made.npy")
+        run("policy sim.npz", file, "--output made.npy --overwrite")
         made = np.load("made.npy")
         assert (made.argmax(axis=1) == ACTIONS).all()
         assert_allclose(made.max(axis=1), 0.75 if file == "long.csv" else 1.0)
-    said = run("policy sim.npz array.npy --output made.npy")
-    assert said == "made.npy (replaced): policy of 9 states and 4 actions\n"
+    said = run("policy sim.npz array.npy --output made.npy --overwrite")
+    assert said == "made.npy: policy of 9 states and 4 actions\n"
 
 
 @pytest.mark.parametrize(

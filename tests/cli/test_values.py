@@ -41,7 +41,7 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
         "evaluate --output out --estimators simulator --discount 0.9 --horizon 50"
         " --policy uniform --raw"
     )
-    assert "table.csv (replaced)" in again
+    assert "\nWritten: out/report.json, out/table.csv, out/values.png\n" in again
     assert "t = 0..49, discount 0.9" in again
     assert "(1 - discount)" in out
     assert "(1 - discount)" not in again

@@ -29,7 +29,15 @@ def folder(tmp_path):
 
 def test_other_settings_are_refused_with_the_difference(folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert json.loads(before["settings.json"]) == SETTINGS.as_dict()
+    settings = json.loads(before["settings.json"])
+    digests = {
+        name: hashlib.sha256(data).hexdigest()
+        for name, data in before.items()
+        if name not in ("settings.json", "cells.jsonl")
+    }
+    assert len(digests) == 5
+    assert settings.pop("files") == digests
+    assert settings == SETTINGS.as_dict()
     other = experiment(axes={"n": (1, 2)}).settings(seed=7)
     text = (
         r"other settings: seed 0 there, 7 asked; n \[1, 2, 3\] there, \[1, 2\] asked"
