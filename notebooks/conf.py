@@ -18,6 +18,7 @@ from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
 
 import oee_tabular
+from oee_tabular.cli.details import EXIT_CODES
 
 project = "oee_tabular"
 author = "The oee_tabular maintainers"
@@ -207,7 +208,9 @@ def commands():
         "oee",
     ]
     made = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    return made.replace("# `oee`\n", "# The commands\n", 1)
+    rows = "".join(f"| {code} | {text} |\n" for code, text in EXIT_CODES.items())
+    table = f"\n## Exit codes\n\n| code | meaning |\n| --- | --- |\n{rows}"
+    return made.replace("# `oee`\n", "# The commands\n", 1) + table
 
 
 def short_names(module):

@@ -35,7 +35,9 @@ mdp(terminal_state=[0.5])  ->  terminal_state must be 1 to 2 integers
 GRID.with_layout((2, 4))  ->  layout must be (height, width) with height * width = 9, the number of states
 GRID.with_layout((0, 9))  ->  layout must be (height, width) with height * width = 9
 mdp().with_transitions(GRID.transitions)  ->  new ...transitions must be for 2 states and 2 actions
-GRID.save("mdp.csv")  ->  path must end in .npz
+GRID.save("mdp.csv")  ->  path must end in .npz; it is 'mdp.csv'
+GRID.save("mdp.npz.gz")  ->  path must end in .npz
+GRID.save("npz")  ->  path must end in .npz
 GRID.save("nowhere/mdp.npz")  ->  [Errno ...no such folder...nowhere
 HALL.with_layout(PLACES[:2])  ->  layout must have shape (3,) or (3, c), a place
 HALL.with_layout(np.zeros((3, 0)))  ->  layout must ...; it has shape (3, 0)
@@ -197,7 +199,11 @@ Transitions.concatenate([LOG, "log"])  ->  logs must be one or more Transitions
 LOG.draw(10**6, seed=0)  ->  n must be at most the ... rows of the log
 LOG.select([])  ->  rows must choose at least one row
 LOG.select([10**6])  ->  rows must be a mask or row numbers of the log's ... rows
-LOG.save("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a Minari folder or id
+LOG.save("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a new Minari folder or id; it is 'log.xlsx'
+LOG.save("log.gz")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a new
+LOG.save("log.parquet.gz")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a new
+LOG.save("nowhere/log.csv.gz")  ->  [Errno ...no such folder...nowhere
+Transitions.load("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a Minari folder or id; it is
 Transitions.load("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet
 Transitions.open("log.csv", jobs=0)  ->  jobs must be a positive integer
 Transitions.open("log.csv", simulator=HALL, n_states=4)  ->  n_states and n_actions must be left out where simulator
@@ -722,8 +728,8 @@ states(action=np.zeros((2, 2))).action_numbers([-1.0, 1.0])  ->  log.action must
 states(action=[[0.5]] * 2).action_numbers([-1.0, 1.0], strict=True)  ->  log.action must be one of the task's 2 actions; 2 of 2
 states().select([])  ->  rows must choose at least one row
 states().first(5)  ->  n must be at most the 2 rows of the log; it is 5
-states().save("log.txt")  ->  path must end in .npz, .csv, .parquet; it is 'log.txt'
-states().save("folder")  ->  path must end in .npz, .csv, .parquet; it is 'folder'
+states().save("log.txt")  ->  path must end in .npz, .csv, .csv.gz, .parquet; it is 'log.txt'
+states().save("folder")  ->  path must end in .npz, .csv, .csv.gz, .parquet; it is 'folder'
 ContinuousTransitions.load("none.csv")  ->  ...none.csv
 ContinuousTransitions.concatenate([states(), "log"])  ->  logs must be one or more ContinuousTransitions
 

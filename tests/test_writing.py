@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import run_command
+from kernels.files import Part, folder_part
 
 import oee_tabular as oee
-from oee_tabular import _writing
 from oee_tabular.cli import values
 from oee_tabular.lab.run import Store, alone
 
@@ -564,8 +564,8 @@ def test_python_removes_them_and_nothing_else(tmp_path):
 def test_a_part_that_a_process_writes_is_never_removed(tmp_path):
     log = oee.Transitions([0], [0], [0])
     with contextlib.ExitStack() as stack:
-        own = stack.enter_context(_writing.Part(str(tmp_path / "own.npz")))
-        folder = stack.enter_context(_writing.folder_part(tmp_path, "set"))
+        own = stack.enter_context(Part(str(tmp_path / "own.npz")))
+        folder = stack.enter_context(folder_part(tmp_path, "set"))
         own.write(b"half")
         own.flush()
         log.save(tmp_path / "other.npz")
@@ -575,7 +575,7 @@ def test_a_part_that_a_process_writes_is_never_removed(tmp_path):
 
 
 def test_where_there_are_no_locks_a_part_is_kept_for_a_day(tmp_path, monkeypatch):
-    monkeypatch.setattr(_writing, "_flock", None)
+    monkeypatch.setattr("oee_tabular._writing._flock", None)
     new = part(tmp_path)
     old = part(tmp_path)
     os.utime(old, (1e9, 1e9))
@@ -585,7 +585,7 @@ def test_where_there_are_no_locks_a_part_is_kept_for_a_day(tmp_path, monkeypatch
 
 
 def test_a_long_folder_is_looked_through_once_in_a_while(tmp_path, monkeypatch):
-    monkeypatch.setattr(_writing, "FEW", 3)
+    monkeypatch.setattr("oee_tabular._writing.FEW", 3)
     looked = []
     listed = os.listdir
     monkeypatch.setattr(os, "listdir", lambda path: looked.append(1) or listed(path))
@@ -600,7 +600,6 @@ import os, signal, sys
 
 blow, place, number = int(sys.argv.pop(1)), sys.argv.pop(1), int(sys.argv.pop(1))
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from oee_tabular import _writing
 from oee_tabular.cli import values
 calls = []
 
@@ -713,7 +712,7 @@ def test_a_lock_that_a_killed_command_left_is_taken_over(tmp_path):
 
 
 def test_a_report_waits_for_no_run_in_its_folder(command, monkeypatch):
-    monkeypatch.setattr(_writing, "LOCK_SECONDS", 0.0)
+    monkeypatch.setattr("oee_tabular._writing.LOCK_SECONDS", 0.0)
     os.mkdir("out")
     with alone(Path("out")):
         code, said = command(f"{EVALUATE} --output out")

@@ -156,6 +156,17 @@ DETAILS: dict[str, dict[str, str]] = {
     },
 }
 
+# exit code -> what it says, of every command
+EXIT_CODES = {
+    0: "The command did what was asked.",
+    1: "The answer is no: `oee check` found a law that does not hold.",
+    2: (
+        "The command was refused, by one line on stderr: an option, a file, a folder or"
+        " the machine does not allow it."
+    ),
+    130: "Ctrl-C ended it. The next run of `reproduce` and `bench` goes on from there.",
+}
+
 # command -> the keys that ``--json`` prints
 JSON_KEYS = {
     "evaluate": (

@@ -299,7 +299,7 @@ def counts(
         list[str],
         typer.Argument(
             metavar="FILE...",
-            help="Files (.parquet, .csv, .npz), folders or patterns of one log.",
+            help="Files (.parquet, .csv, .csv.gz, .npz), folders or patterns of one log.",
             rich_help_panel=INPUT,
         ),
     ],

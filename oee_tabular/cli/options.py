@@ -52,7 +52,7 @@ SimulatorArgument = Annotated[
 _LOG = typer.Option(
     "--log",
     metavar="FILE",
-    help="Log of the target, repeatable: .npz, .csv, .parquet, a folder or Minari id.",
+    help="Log of the target, repeatable: .npz, .csv, .csv.gz, .parquet, folder or Minari id.",
     rich_help_panel=INPUT,
 )
 LogOption = Annotated[list[str], _LOG]

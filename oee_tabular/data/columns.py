@@ -337,9 +337,10 @@ class LogColumns:
         Parameters
         ----------
         path : path_like
-            A file that ends in .npz, .csv or .parquet. A log of numbered states with
-            episodes and rewards can also be written as a Minari data set: a folder
-            without suffix, or ``minari:namespace/name-v0``.
+            A file that ends in .npz, .csv, .csv.gz or .parquet; one that is there is
+            replaced. A log of numbered states with episodes and rewards can also be
+            written as a Minari data set: a new folder without suffix, or
+            ``minari:namespace/name-v0``.
 
         Raises
         ------
@@ -360,7 +361,7 @@ class LogColumns:
         Parameters
         ----------
         path : path_like, or iterable of path_like
-            A file .npz, .csv or .parquet, a Minari folder, or a Minari id that is on
+            A file .npz, .csv, .csv.gz or .parquet, a Minari folder, or a Minari id that is on
             this machine. Several files, a pattern or a folder of files are one log, in
             the order of their names, numbers by their size (``concatenate``). An
             episode that is cut at the end of a file goes on in the next one.

@@ -11,5 +11,16 @@ from oee_tabular._files import (
     save_npz,
     write_all,
 )
+from oee_tabular._writing import Part, folder_part
 
-__all__ = ["DIGEST", "KIND", "csv_bytes", "digest", "read_npz", "save_npz", "write_all"]
+__all__ = [
+    "DIGEST",
+    "KIND",
+    "Part",
+    "csv_bytes",
+    "digest",
+    "folder_part",
+    "read_npz",
+    "save_npz",
+    "write_all",
+]
