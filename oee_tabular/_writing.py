@@ -20,7 +20,9 @@ import json
 import os
 import re
 import shutil
+import signal
 import stat
+import threading
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterator
@@ -371,6 +373,27 @@ def folder_part(folder: Path, name: str) -> Iterator[Path]:
         shutil.rmtree(path, ignore_errors=True)
         if held is not None:
             os.close(held)
+
+
+@contextlib.contextmanager
+def waiting_interrupts() -> Iterator[None]:
+    """Let Ctrl-C wait until the end.
+
+    A library in C++ may abort the process where it comes in the middle of a file.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT)
+    if not is_main or before is None:  # None: not set by Python
+        yield
+        return
+    came = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 # ---- folders of several files

@@ -148,8 +148,8 @@ def fuzz(seed, kills, folder):
         if code is not None:
             n_hit += 1
             expected = INTERRUPTED if blow == signal.SIGINT else -blow
-            # a command that was nearly over may end as it would have
-            if code not in (0, expected):
+            # a command that was nearly over may end as it would have, or by the signal
+            if code not in (0, expected, -blow):
                 wrong.append(f"{at}: exit code {code}: {told[-300:]}")
             if "Traceback" in told:
                 wrong.append(f"{at}: a traceback: {told[-300:]}")

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import run_command
-from kernels.files import Part, folder_part
+from kernels.files import Part, folder_part, waiting_interrupts
 
 import oee_tabular as oee
 from oee_tabular.cli import values
@@ -676,6 +676,40 @@ def test_ctrl_c_between_two_names_leaves_files_of_one_run(command, monkeypatch, 
     changed = [name for name in REPORT if after[name] != before[name]]
     assert changed == ([] if number == 1 else list(REPORT))
     assert command(f"{EVALUATE} --output out")[0] == 0
+
+
+@pytest.mark.parametrize("ending", ["parquet", "npz", "csv.gz"])
+def test_ctrl_c_while_a_file_is_written_keeps_the_old_one(
+    tmp_path, monkeypatch, ending
+):
+    log = oee.Transitions([0], [0], [0])
+    path = tmp_path / f"log.{ending}"
+    path.write_text("old")
+    columns = log.columns
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return columns()
+
+    def wait():
+        with waiting_interrupts():
+            interrupted()
+            done.append(1)
+
+    done = []
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        monkeypatch.setattr(type(log), "columns", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            log.save(path)
+        with pytest.raises(KeyboardInterrupt):
+            wait()
+        assert done == [1]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert path.read_text() == "old"
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
 # ---- locks

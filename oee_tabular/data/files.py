@@ -168,7 +168,7 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
                 columns[label] = to_text(column)
         _files.save_npz(name, form.kind, columns)
     elif _files.has_ending(name, (".parquet",)):
-        with _files.whole_file(name) as handle:
+        with _files.whole_file(name) as handle, _writing.waiting_interrupts():
             write_parquet(handle.name, form.to_table(log.columns()))
     else:
         import pandas as pd

@@ -11,7 +11,7 @@ from oee_tabular._files import (
     save_npz,
     write_all,
 )
-from oee_tabular._writing import Part, folder_part
+from oee_tabular._writing import Part, folder_part, waiting_interrupts
 
 __all__ = [
     "DIGEST",
@@ -22,5 +22,6 @@ __all__ = [
     "folder_part",
     "read_npz",
     "save_npz",
+    "waiting_interrupts",
     "write_all",
 ]
