@@ -306,6 +306,16 @@ def _float_kinds(given: Any, depth: int) -> set[type]:
     return {dtype.type} if dtype.kind == "f" else set()
 
 
+def clip_if_single(array: Array, given: object) -> Array:
+    """Return probabilities given in single or half precision, at most 1.
+
+    Rounding may put them above by what ``scale_if_single`` forgives a sum.
+    """
+    if not array.size or array.max() <= 1.0:
+        return array
+    return np.where(array <= 1.0 + _sum_tolerance(given), np.minimum(array, 1.0), array)
+
+
 def distribution(
     value: object, name: str, shape: tuple[int, ...], *, given: object = None
 ) -> Array:

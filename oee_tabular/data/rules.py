@@ -274,6 +274,8 @@ def check_array(value: object, label: str) -> Column:
         array: Column = _checks.float_array(
             value, label, ndim=1, allow_missing=label == "reward"
         )
+        if label == "behavior_probability":
+            array = _checks.clip_if_single(array, value)
     else:
         array = _checks.as_array(value, label, f"a column of {kind}")
     if array.ndim != 1:
@@ -519,6 +521,8 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     """Check finite numbers, probabilities from 0 to 1; a reward may be missing."""
     low, high = (0.0, 1.0) if label == "behavior_probability" else (-np.inf, np.inf)
     numbers = to_numbers(raw).astype(np.float64, copy=False)
+    if high == 1.0:
+        numbers = _checks.clip_if_single(numbers, raw)
     is_good = np.isfinite(numbers) & (numbers >= low) & (numbers <= high)
     if is_good.all():
         return numbers, None

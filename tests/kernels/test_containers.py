@@ -569,6 +569,23 @@ def precise_doors(kind):
     }
 
 
+def test_probabilities_of_single_precision_may_round_to_more_than_one():
+    above = np.nextafter(np.float32(1), np.float32(2))
+    move = ([0], [0], [1])
+    frame = pd.DataFrame(
+        {"state": [0], "action": [0], "next_state": [1], "behavior_probability": above}
+    ).astype({"behavior_probability": np.float32})
+    for log in (
+        Transitions(*move, behavior_probability=np.array([above])),
+        Transitions(*move, behavior_probability=[above]),
+        Transitions.from_frame(frame),
+    ):
+        assert log.behavior_probability.tolist() == [1.0]
+    for wrong in ([float(above)], np.array([1.01], dtype=np.float32)):
+        with pytest.raises(ValueError, match=r"behavior_probability\[0\] must be in"):
+            Transitions(*move, behavior_probability=wrong)
+
+
 def sparse_of(array):
     """scipy has no half precision."""
     kind = np.float32 if array.dtype == np.float16 else array.dtype
