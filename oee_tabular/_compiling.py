@@ -17,11 +17,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
-from numba.core import config
+from numba.core import config as _config
 from numba.misc.appdirs import AppDirs
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import CostWarning
+
+# its attributes are made when it is loaded
+config: Any = _config
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -85,7 +88,8 @@ def _has_user_folder() -> bool:
 
     Without a home, its path is relative: code would be loaded from the current folder.
     """
-    return os.path.isabs(AppDirs("numba", False).user_cache_dir)
+    folders: Any = AppDirs
+    return os.path.isabs(folders("numba", False).user_cache_dir)
 
 
 @functools.cache

@@ -61,7 +61,8 @@ def _execute(execute: Callable[[Any], object], module: Any) -> None:
 def ignore_settings() -> None:
     """Let this process ignore settings of the current folder from now on."""
     if not is_isolated():
-        sys.meta_path.insert(0, _Finder())  # type: ignore[arg-type]
+        finder: Any = _Finder()
+        sys.meta_path.insert(0, finder)
 
 
 def is_isolated() -> bool:

@@ -130,8 +130,8 @@ def _limited_groups() -> list[tuple[Path, tuple[str, str, str]]]:
     for place, name, *files in GROUPS:
         # inside of a container, its own group may be at the top
         group = Path("/" + paths.get(name, "").strip("/"))
-        for path in (group, *group.parents):
-            folder = ROOT / place / str(path).strip("/")
+        for level in (group, *group.parents):
+            folder = ROOT / place / str(level).strip("/")
             # "max", where there is no limit, is a ValueError
             with contextlib.suppress(*UNREADABLE):
                 if int((folder / files[0]).read_text()) < NO_LIMIT_BYTES:

@@ -186,7 +186,8 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(settings or {})
+        own: Any = settings or {}
+        matplotlib.rcParams.update(own)
         yield
 
 
