@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks, _files
+from oee_tabular.data.aliases import find_field
 from oee_tabular.data.tables import LogFile
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import BoolArray, Column
@@ -122,13 +123,9 @@ class Folders:
     def add(self, file: LogFile, known: Iterable[str], episodes: Iterable[Any]) -> None:
         """Raise an ArgumentError where an episode stands in another folder as well.
 
-        ``known``: the labels that are a log's.
+        ``known``: a log's columns.
         """
-        folder = tuple(
-            (label, text)
-            for label, text in file.fixed
-            if label in set(known) and label != "episode"
-        )
+        folder = _parting_folders(file, known)
         if not folder:
             return
         for episode in episodes:
@@ -147,16 +144,31 @@ class Folders:
                 )
 
 
+def _parting_folders(
+    file: LogFile, known: Iterable[str]
+) -> tuple[tuple[str, str], ...]:
+    """Return the folders that name a column of a log, but for its episodes.
+
+    ``known``: a log's columns. A folder may have another project's label of one.
+    """
+    columns = set(known) - {"episode"}
+    return tuple(
+        (label, text)
+        for label, text in file.fixed
+        if (find_field(label, has_vectors=False) or label) in columns
+    )
+
+
 def order_hint(file: LogFile, known: Iterable[str]) -> str:
     """Return what else may be wrong where rows of an episode do not follow each other.
 
     Empty where the file stands in no folder that names a column.
     """
-    labels = [label for label, _ in file.fixed if label in set(known) - {"episode"}]
-    if not labels:
+    folder = _parting_folders(file, known)
+    if not folder:
         return ""
     return (
-        f" (folders by {labels[0]} part the rows of an episode: write the log without"
+        f" (folders by {folder[0][0]} part the rows of an episode: write the log without"
         " them)"
     )
 
@@ -185,7 +197,9 @@ def join_logs(
         shift = 0
         if "episode" in columns and n and is_table:
             if file.fixed:
-                folders.add(file, columns, np.unique(columns["episode"].astype(str)))
+                folders.add(
+                    file, columns, np.unique(columns["episode"].astype(str)).tolist()
+                )
             row = Row(file.path, _row(columns, 0))
             if last is not None:
                 verdict = judge(last, row, _differs(cls))
