@@ -230,7 +230,7 @@ def test_columns_of_chosen_rows_of_a_frame_are_one_log():
         (pd.Series(R[0])[::-1], r"got Series whose index \(1, 0\) is"),
         (pd.Series(R[0], index=pd.MultiIndex.from_tuples([(0, 0), (0, 1)])), "Series"),
     ],
-    ids=str,
+    ids=lambda value: type(value).__name__,
 )
 def test_a_remedy_for_each_container(value, text):
     with pytest.raises(ValueError, match=text) as refused:
