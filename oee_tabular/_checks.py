@@ -17,9 +17,9 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from oee_tabular._containers import LossError, to_plain_array
 from oee_tabular._containers import is_sparse as is_sparse
 from oee_tabular._containers import place as place
-from oee_tabular._containers import to_plain_array
 from oee_tabular._memory import free_memory
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, Seed
@@ -190,7 +190,10 @@ def _plain(value: object, name: str, allow_missing: bool = False) -> Any:
     """Return ``to_plain_array`` of a value, at once where it is a plain array."""
     if type(value) is np.ndarray and not value.dtype.hasobject:
         return value
-    return to_plain_array(value, name, allow_missing=allow_missing)
+    try:
+        return to_plain_array(value, name, allow_missing=allow_missing)
+    except LossError as error:
+        raise ArgumentError(error.argument, error.rule) from None
 
 
 def _no_array(value: object, name: str, rule: str, error: Exception) -> ArgumentError:
@@ -377,7 +380,7 @@ def _single(value: Any, name: str, kinds: str) -> Any:
         if value.dtype.kind not in kinds:
             raise TypeError
         return value
-    plain = to_plain_array(value, name)
+    plain = _plain(value, name)
     if isinstance(plain, list | tuple):
         raise TypeError
     array = np.asarray(plain)
@@ -475,7 +478,7 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
         if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
         if hasattr(value, "__array__") and type(value) is not np.ndarray:
-            value = to_plain_array(value, name)
+            value = _plain(value, name)
         return tuple(value)
     except ArgumentError:
         raise
@@ -561,7 +564,7 @@ def _check_seed(seed: Any) -> Any:
     if isinstance(seed, (*own, ISeedSequence)):
         return seed
     if not isinstance(seed, int | np.integer | list | tuple | range):
-        seed = to_plain_array(seed, "seed")
+        seed = _plain(seed, "seed")
     if isinstance(seed, np.ndarray):
         if seed.dtype.hasobject:
             seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()

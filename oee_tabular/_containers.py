@@ -20,8 +20,6 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular.exceptions import ArgumentError
-
 Index = tuple[int, ...]
 
 MAX_DEPTH = 64  # of lists in lists, the most dimensions of numpy's arrays
@@ -33,6 +31,18 @@ _SINGLE = (np.generic, str, bytes, date, time, timedelta)
 _HOLDERS = ("magnitude", "value", "_value")  # of the numbers of a quantity
 _CONVERSIONS = ("m_as", "to_value", "value_in_unit")  # to numbers without a unit
 _DIMENSIONLESS = re.compile(r"(1(\.0*)?)?\s*\(?(dimensionless|unitless)?\)?")
+
+
+class LossError(ValueError):
+    """Say that an argument is no plain array: its place, and the rest of the sentence.
+
+    Whoever asks makes the package's own error of it.
+    """
+
+    def __init__(self, argument: str, rule: str) -> None:
+        super().__init__(f"{argument} {rule}")
+        self.argument = argument
+        self.rule = rule
 
 
 def place(name: str, index: Index) -> str:
@@ -75,7 +85,7 @@ def to_plain_array(
 
     Raises
     ------
-    ArgumentError
+    LossError
         If a value is missing, has a unit, or has labels that position loses.
     TypeError, ValueError
         If it is no array; what other libraries raise on the way becomes one of these.
@@ -104,7 +114,7 @@ def to_plain_array(
             return to_plain_array(items, name, index, allow_missing=allow_missing)
         # an array of another class may come of this
         array = np.asanyarray(inner)
-    except (ArgumentError, TypeError, ValueError):
+    except (LossError, TypeError, ValueError):
         raise
     except Exception as error:
         # a user's object, or another library's, may raise anything
@@ -173,7 +183,7 @@ def _missing(name: str, index: Index, allow_missing: bool, what: str) -> float:
     """Return nan for a missing value where it is allowed, else raise an error."""
     if allow_missing:
         return float("nan")
-    raise ArgumentError(
+    raise LossError(
         place(name, index) if index else name, f"must have a value; it is {what}"
     )
 
@@ -264,7 +274,7 @@ def _fill(
 def _unwrap(value: Any, name: str, index: Index) -> Any:
     """Return what a container holds, or the value itself.
 
-    Raises an ArgumentError where it says more than its numbers.
+    Raises an LossError where it says more than its numbers.
     """
     where = place(name, index) if index else name
     if hasattr(value, "iloc") and hasattr(value, "index"):
@@ -284,7 +294,7 @@ def _unwrap_pandas(value: Any, where: str) -> Any:
         axes["columns"] = value.columns
     for axis, labels in axes.items():
         if not _counts_from_zero(labels):
-            raise ArgumentError(
+            raise LossError(
                 where,
                 "must be a plain array, which is read by position; got"
                 f" {type(value).__name__} whose {axis} {_show_labels(labels)}"
@@ -368,7 +378,7 @@ def _unwrap_table(value: Any, where: str) -> Any:
     names = _column_names(value) or []
     if names != [f"column_{k}" for k in range(len(names))]:
         way = ".to_numpy()" if hasattr(value, "to_numpy") else "numpy.asarray(table)"
-        raise ArgumentError(
+        raise LossError(
             where,
             "must be a plain array, which is read by position; got"
             f" {type(value).__name__} with the columns {_show_labels(names)} (in the"
@@ -385,7 +395,7 @@ def _unwrap_dims(value: Any, dims: tuple[str, ...], where: str) -> Any:
     is_unnamed = dims == tuple(f"dim_{k}" for k in range(len(dims)))
     if len(dims) > 1 and not is_unnamed:
         order = ", ".join(map(repr, dims))
-        raise ArgumentError(
+        raise LossError(
             where,
             "must be a plain array, whose dimensions are read by position; got"
             f" {type(value).__name__} with the dimensions {order} (say in which order:"
@@ -395,7 +405,7 @@ def _unwrap_dims(value: Any, dims: tuple[str, ...], where: str) -> Any:
     for dim in dims:
         labels = coords[dim] if coords is not None and dim in coords else None
         if labels is not None and not _counts_from_zero(labels):
-            raise ArgumentError(
+            raise LossError(
                 where,
                 "must be a plain array, which is read by position; got"
                 f" {type(value).__name__} whose coordinate {dim!r}"
@@ -436,6 +446,6 @@ def _require_no_unit(unit: object, value: object, where: str) -> None:
     remedy = "give its numbers alone, in the unit that you mean"
     if way is not None:
         remedy = f"give its numbers in the unit that you mean: .{way}({text[:40]!r})"
-    raise ArgumentError(
+    raise LossError(
         where, f"must be numbers without a unit; it is in {text[:80]} ({remedy})"
     )

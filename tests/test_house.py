@@ -46,14 +46,15 @@ def graph_of(by_name=True):
 
 
 def rooms_of(graph):
-    """The same between packages, and files beside them; errors and types stand below
-    all floors.
+    """The same between packages, and files beside them; errors, types and what else
+    imports nothing of the package stand below all floors.
     """
 
     def room(name):
         return ".".join(name.split(".")[:2])
 
     left_out = {"oee_tabular.exceptions", "oee_tabular.typing"}
+    left_out |= {n for n in graph if n.startswith("oee_tabular._") and not graph[n]}
     rooms = {room(name): set() for name in graph if name not in left_out}
     for name in graph.keys() - left_out:
         others = {room(other) for other in graph[name] - left_out}

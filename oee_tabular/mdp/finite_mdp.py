@@ -85,8 +85,8 @@ class FiniteMDP:
         sparse matrices of shape (S, S), an absent entry is 0 on the support and
         undefined elsewhere. Repeated entries do not add up: equal ones count once,
         others are averaged by the probabilities in the same repeated places of
-        ``transitions``. (``csr_array((data, (row, column)))`` adds them itself: use
-        ``coo_array``.)
+        ``transitions``. SciPy's ``csr_array((data, (row, column)))`` adds them before
+        they come here; ``coo_array`` does not.
     initial : array_like of shape (S,), int, name, or mapping
         The distribution mu_0 of the first state; or one state, by number or name; or a
         mapping from states to probabilities.
