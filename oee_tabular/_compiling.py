@@ -18,6 +18,7 @@ from typing import Any
 
 import numba
 from numba.core import config as _config
+from numba.core.registry import CPUDispatcher
 from numba.misc.appdirs import AppDirs
 
 from oee_tabular import _checks
@@ -47,11 +48,37 @@ def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
         """Return the kernel, which is compiled when it is first called."""
         kernel = numba.njit(**options)(function)
         # with NUMBA_DISABLE_JIT, it is the function
-        if cache and hasattr(kernel, "enable_caching"):
-            _enable_cache(kernel)
+        if isinstance(kernel, CPUDispatcher):
+            kernel.__class__ = _Kernel
+            if cache:
+                _enable_cache(kernel)
         return kernel
 
     return compile_on_call
+
+
+_run = CPUDispatcher.__call__
+
+
+class _Kernel(CPUDispatcher):
+    """A kernel that passes on what a signal raises, such as Ctrl-C.
+
+    A signal that comes while compiled code runs is handled as it returns. Python makes
+    a SystemError of the handler's KeyboardInterrupt or TimeoutError, and that would
+    pass for a failed estimate.
+    """
+
+    def __call__(self, *args: Any) -> Any:
+        """Run the compiled code."""
+        try:
+            return _run(self, *args)
+        except SystemError as error:
+            cause: BaseException | None = error
+            while isinstance(cause, SystemError):
+                cause = cause.__cause__
+            if cause is None:
+                raise
+            raise cause from None
 
 
 def _enable_cache(kernel: Any) -> None:
