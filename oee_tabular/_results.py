@@ -51,6 +51,11 @@ class _Pandas:
     DataFrame = _Frame
 
 
+# how errors name classes that people make themselves
+_CALLED = {
+    "Finding": "Finding(kind, severity, text)",
+    "Problem": "Problem(simulator, log, ...)",
+}
 # arrays and matrices by the aliases of ``oee_tabular.typing``
 _ALIASES: dict[Any, Any] = {Array: _Numbers, IntArray: _Integers, BoolArray: _Flags}
 # what annotations name that is no class at run time, or is slow to import
@@ -83,6 +88,7 @@ def checked(
     shapes: Mapping[str, str] | None = None,
     levels: Collection[str] = (),
     counts: Collection[str] = (),
+    positive: Collection[str] = (),
 ) -> Callable[[C], C]:
     """Make a dataclass check its fields by their annotations.
 
@@ -100,6 +106,8 @@ def checked(
         The fields that are in (0, 1), or 1 itself.
     counts : collection of str, optional
         The fields that are integers of at least 0.
+    positive : collection of str, optional
+        The fields that are integers of at least 1.
 
     Examples
     --------
@@ -116,7 +124,9 @@ def checked(
 
     def decorate(cls: C) -> C:
         """Check the fields before ``__post_init__``, and guard the texts."""
-        check = functools.partial(_check, cls, shapes or {}, levels, counts)
+        check = functools.partial(
+            _check, cls, shapes or {}, levels, counts, frozenset(positive)
+        )
         if "__post_init__" in vars(cls):
             _check_before(cls, check)
         else:
@@ -205,10 +215,11 @@ def _check(
     shapes: Mapping[str, str],
     levels: Collection[str],
     counts: Collection[str],
+    positive: frozenset[str],
     result: Any,
 ) -> None:
     """Check all fields of a new result."""
-    for name, check in _checks_of(cls):
+    for name, check in _checks_of(cls, positive):
         value = getattr(result, name)
         kept = check(value, name)
         if kept is not value:
@@ -263,13 +274,15 @@ def _parts(name: str, value: Any) -> Iterable[tuple[str, Any]]:
 
 
 @functools.cache
-def _checks_of(cls: type) -> tuple[tuple[str, Check], ...]:
+def _checks_of(cls: type, positive: frozenset[str]) -> tuple[tuple[str, Check], ...]:
     """Return the checks of a class's fields, which are made at the first use."""
     found = []
     for field in dataclasses.fields(cls):
         # a base class of another module has names of its own
         owner = next(c for c in cls.__mro__ if field.name in inspect.get_annotations(c))
         check = _check_of(_evaluate(field.type, _Names(owner.__module__)))
+        if check is not None and field.name in positive:
+            check = functools.partial(_positive, check)
         if check is not None:
             found.append((field.name, check))
     return tuple(found)
@@ -336,6 +349,13 @@ def _integer(value: Any, name: str) -> Any:
             name, f"must be at most 2**63 - 1 in size; it is {_checks.show(value)}"
         )
     return value
+
+
+def _positive(check: Check, value: Any, name: str) -> Any:
+    """Require an integer of at least 1, or None where ``check`` allows it."""
+    return check(
+        value if value is None else _checks.positive_integer(value, name), name
+    )
 
 
 def _text(value: Any, name: str) -> Any:
@@ -408,7 +428,7 @@ def _callable(value: Any, name: str) -> Any:
 
 def _instance(kind: type, value: Any, name: str) -> Any:
     """Require an object of a class."""
-    return _checks.instance(value, kind, name)
+    return _checks.instance(value, kind, name, _CALLED.get(kind.__name__, ""))
 
 
 def _one_of(allowed: tuple[Any, ...], value: Any, name: str) -> Any:

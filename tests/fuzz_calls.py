@@ -76,6 +76,7 @@ ALIASES = {  # words of the command line, which the same errors serve
     "tie": ("frame",),
     "name": ("folder", "path"),
     "facts": ("diagnostics",),
+    "cells": ("shape",),  # of a grid
     "more": ("diagnostics",),
     "folder": ("output",),
 }

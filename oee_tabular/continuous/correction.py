@@ -522,11 +522,10 @@ def choose_correction(
     Correction
         The correction.
     """
-    is_auto = isinstance(history, str)
-    if isinstance(history, str):
-        _checks.one_of(history, "history", ("auto",), " (or a number of actions)")
-    else:
-        history = check_n_actions(history, "history")
+    is_auto = isinstance(history, str) and history == "auto"
+    given: Any = history
+    if not is_auto:
+        history = check_n_actions(given, "history")
     _progress.report_step("correction of the simulator by the log")
     plain = ResidualSimulator(task, log, seed=seed)
 

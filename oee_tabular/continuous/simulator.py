@@ -164,7 +164,7 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
 
 
 @suggest_keywords
-@checked()
+@checked(positive=("horizon",))
 @dataclass(frozen=True)
 class ContinuousSimulator:
     """A continuous task with the settings by which logs are evaluated in it.

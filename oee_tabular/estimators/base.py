@@ -110,15 +110,7 @@ class Estimate:
     is_headline: bool = False
 
     def __post_init__(self) -> None:
-        for k, finding in enumerate(
-            _checks.collection(self.findings, "findings", "Findings")
-        ):
-            _checks.instance(
-                finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)"
-            )
-        _checks.instance(self.status, str, "status", "string")
-        number = isinstance(self.value, float | int | np.number)
-        if number and self.status == "ok" and not np.isfinite(self.value):
+        if self.status == "ok" and not np.isfinite(self.value):
             object.__setattr__(self, "status", UNEXPLAINED)
 
     def __repr__(self) -> str:

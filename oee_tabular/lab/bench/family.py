@@ -33,7 +33,10 @@ from oee_tabular.typing import Array, Seed
 
 
 @suggest_keywords
-@checked(shapes={"policy": "S A", "data_policy": "S A"})
+@checked(
+    shapes={"policy": "S A", "data_policy": "S A"},
+    positive=("horizon", "length"),
+)
 @dataclass(frozen=True, eq=False)
 class Family:
     """Pair of environments in which the true value of a policy is exact.
