@@ -65,7 +65,7 @@ STEPS = ("cartpole_policy", "kinova_policy", "reacher_policy")
 UNCHECKED = ("paper", "typing")
 ALIASES = {  # words of the command line, which the same errors serve
     "identifier": ("environment",),
-    "spec": ("environment", "simulator"),
+    "spec": ("environment", "simulator", "path"),
     "policies": ("policy",),
     "logs": ("log",),
     "log_or_counts": ("counts",),

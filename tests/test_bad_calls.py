@@ -369,6 +369,7 @@ OTHERWISE = {
         "InClass.fit",
         "Tied.fit",
         "discretize",
+        "ContinuousSimulator.discretize",
         "Families",
         "families",
         "garnet_worse",
