@@ -151,7 +151,8 @@ def fuzz(seed, kills, folder):
             # a command that was nearly over may end as it would have, or by the signal
             if code not in (0, expected, -blow):
                 wrong.append(f"{at}: exit code {code}: {told[-300:]}")
-            if "Traceback" in told:
+            # before the package is imported, Ctrl-C is Python's own
+            if "Traceback" in told and "oee_tabular" in told:
                 wrong.append(f"{at}: a traceback: {told[-300:]}")
         found = contents(place)
         wrong += [f"{at}: half: {one}" for one in half_written(found, old, whole[name])]

@@ -359,7 +359,7 @@ def test_bad_calls(run, case):
         ),
         (
             "sample cartpole --episodes 1 --output l.txt",
-            "path must end in .npz, .csv, .parquet",
+            "--output must end in .npz, .csv, .csv.gz, .parquet",
         ),
         ("evaluate --grid=8x8", "--grid needs a continuous task"),
         ("evaluate --task-option=strict=true", "--task-option needs a continuous task"),
