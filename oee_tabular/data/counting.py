@@ -341,7 +341,7 @@ class _FileCount:
     def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
         """Note a fault of rows of a piece, whose numbers in the file are ``rows``."""
         row = int(rows[fault.rows[0]])
-        if kind not in self.faults:
+        if kind not in self.faults and not fault.shift:  # of values by themselves
             fault = fault.with_text(self.table.find_text(fault.label, row))
         self._note(kind, row, fault.place(row), fault.problem(), len(fault.rows))
 

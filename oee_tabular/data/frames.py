@@ -25,7 +25,7 @@ from oee_tabular.data.labels import (
     suggest_label,
     warn_read_as,
 )
-from oee_tabular.data.rules import COLUMNS, MOVE, check_table
+from oee_tabular.data.rules import COLUMNS, MOVE, NO_NAMES, check_table
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import (
     Name,
@@ -57,13 +57,17 @@ def is_frame(value: object) -> bool:
 
 
 def frame_columns(
-    frame: object, column_names: Mapping[str, object], columns: ColumnsLike | None
+    frame: object,
+    column_names: Mapping[str, object],
+    columns: ColumnsLike | None,
+    known_names: Mapping[str, tuple[Name, ...] | None] = NO_NAMES,
 ) -> dict[str, Any]:
     """Return the columns of a log, by the constructor's names, of a data frame.
 
     ``column_names``: what the frame calls them, by keyword; ``columns``: the same as a
-    mapping. Raises an ArgumentError for what is no frame, for columns that it has not,
-    and for the first value that is none of a log's.
+    mapping. ``known_names``: by a log's columns, the simulator's, where it is known.
+    Raises an ArgumentError for what is no frame, for columns that it has not, and for
+    the first value that is none of a log's.
     """
     labels, series = _read_series(frame)
     named = check_columns(columns)
@@ -99,7 +103,9 @@ def frame_columns(
         for field, group in found.taken.items()
     }
     return check_table(
-        {field: values[field] for field in COLUMNS if field in values}, "frame"
+        {field: values[field] for field in COLUMNS if field in values},
+        "frame",
+        names=known_names,
     )
 
 

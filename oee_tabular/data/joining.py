@@ -197,9 +197,8 @@ def join_logs(
         shift = 0
         if "episode" in columns and n and is_table:
             if file.fixed:
-                folders.add(
-                    file, columns, np.unique(columns["episode"].astype(str)).tolist()
-                )
+                names = np.unique(columns["episode"].astype(str)).tolist()
+                folders.add(file, columns, names)
             row = Row(file.path, _row(columns, 0))
             if last is not None:
                 verdict = judge(last, row, _differs(cls))
@@ -242,7 +241,11 @@ def _differs(cls: Any) -> Callable[[Any, Any], Any]:
 
 def _row(columns: Mapping[str, Column], k: int) -> dict[str, Any]:
     """Return one row of columns."""
-    return {label: column[k] for label, column in columns.items()}
+    row = {label: column[k] for label, column in columns.items()}
+    return {
+        label: value.item() if isinstance(value, np.generic) else value
+        for label, value in row.items()
+    }
 
 
 def _is_first_run(columns: Mapping[str, Column]) -> BoolArray:

@@ -38,10 +38,10 @@ from oee_tabular.data.labels import (
     warn_left_out,
     warn_read_as,
 )
-from oee_tabular.data.rules import KEY, MOVE
+from oee_tabular.data.rules import KEY
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile
-from oee_tabular.data.transitions import Transitions
+from oee_tabular.data.transitions import Transitions, names_by_label
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import name_text
@@ -210,6 +210,8 @@ class _Episodes:
         """Add a file; return how it was recorded, with what is seen here alone."""
         recording = counts.recording
         ends = counts.ends
+        if counts.sums is None and not recording.dropped:
+            return recording  # an empty part
         if ends is None:
             self.end()
             self._join(counts.sample)
@@ -361,9 +363,7 @@ def read_log(
                 refuse_columns(columns, "counts")
                 log = TransitionCounts.load(source)
             else:
-                states, actions = simulator.state_names, simulator.action_names
-                own = dict(zip(MOVE, (states, actions, states), strict=True))
-                log = Transitions._load(source, columns, own)
+                log = Transitions._load(source, columns, names_by_label(simulator))
         except ArgumentError as error:
             argument = error.argument
             if argument != "columns":

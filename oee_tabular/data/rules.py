@@ -459,6 +459,9 @@ def _check_episodes(raw: Column) -> tuple[Column, Fault | None]:
 
 def parse_episode(item: Any) -> int | str | None:
     """Return the id of an episode, an integer or a text; None for what is none."""
+    # most ids, in a fifth of the time
+    if type(item) is str and len(item) < 19 and item.isascii() and item.isdecimal():
+        return int(item) if item[0] != "0" or item == "0" else item
     if is_absent(item):
         return None
     number = _parse_number(item)
@@ -595,9 +598,9 @@ def _check_names(
         }
         return raw, find_fault(label, raw, rules, has_names=True, own=own)
     values, fault = _check_integers(raw, label, high)
-    if fault is not None and isinstance(fault.value, str) and not fault.hint:
-        most = f" ({n - n_named} of the column's {n} values are numbers)"
-        fault = fault._replace(hint=most if n > n_named else "")
+    if fault is not None and n > n_named and _is_no_number(fault.value):
+        hint = f" ({n - n_named} of the column's {n} values are numbers, not names)"
+        fault = fault._replace(hint=hint)
     return values, fault
 
 

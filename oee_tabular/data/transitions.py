@@ -318,7 +318,8 @@ class Transitions(LogColumns):
             "timestep": timestep,
             "behavior_probability": behavior_probability,
         }
-        values = frame_columns(frame, column_names, columns)
+        own = {} if simulator is None else names_by_label(simulator)
+        values = frame_columns(frame, column_names, columns, own)
         try:
             log = cls(**values)
         except ValueError:
@@ -537,6 +538,13 @@ class Transitions(LogColumns):
         return describe_facts(
             self._facts(), state_names=self.state_names, action_names=self.action_names
         )
+
+
+def names_by_label(simulator: FiniteMDP) -> dict[str, tuple[Name, ...] | None]:
+    """Return the names that a simulator has for the values of a log's columns."""
+    _checks.instance(simulator, FiniteMDP, "simulator")
+    names = (simulator.state_names, simulator.action_names, simulator.state_names)
+    return dict(zip(MOVE, names, strict=True))
 
 
 def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:

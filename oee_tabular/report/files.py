@@ -240,6 +240,7 @@ def plain(value: object) -> Any:
 
 def summary(path: Path) -> str:
     """Summarise a report.json file in a few lines."""
+    _files.require_regular(path)
     try:
         report = json.loads(_files.read_text(path))
         lines = [f"Report of {report['unit']}"]
