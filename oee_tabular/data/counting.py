@@ -265,8 +265,10 @@ class _FileCount:
         """
         taken = table.matching.taken
         names = {field: group[0] for field, group in taken.items() if len(group) == 1}
-        if len(names) < len(taken) or not set(names.values()) <= set(table.labels):
-            return False  # several columns make a name, or a folder names a column
+        # several columns make a name, or a folder names a column
+        folders = {label for label, _ in self.file.fixed}
+        if len(names) < len(taken) or not folders.isdisjoint(names.values()):
+            return False
         groups = sum_groups(self.path, names)
         if groups is None or self._has_odd_values(groups, table):
             return False

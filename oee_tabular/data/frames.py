@@ -25,7 +25,13 @@ from oee_tabular.data.labels import (
     suggest_label,
     warn_read_as,
 )
-from oee_tabular.data.rules import COLUMNS, MOVE, NO_NAMES, check_table
+from oee_tabular.data.rules import (
+    COLUMNS,
+    MOVE,
+    NO_NAMES,
+    check_table,
+    settle_episodes,
+)
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import (
     Name,
@@ -98,15 +104,18 @@ def frame_columns(
 
     found = match_labels(labels, "frame", named, require, has_capitals=True)
     warn_read_as("the frame", found.renamed)
-    values = {
+    raw = {
         field: _join_columns([series(labels.index(label)) for label in group])
         for field, group in found.taken.items()
     }
-    return check_table(
-        {field: values[field] for field in COLUMNS if field in values},
+    values = check_table(
+        {field: raw[field] for field in COLUMNS if field in raw},
         "frame",
         names=known_names,
     )
+    if "episode" in values:
+        values["episode"] = settle_episodes(values["episode"])
+    return values
 
 
 def _read_series(frame: object) -> tuple[list[Any], Callable[[int], Any]]:

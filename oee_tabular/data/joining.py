@@ -16,6 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
+from oee_tabular.data.rules import settle_episodes
 from oee_tabular.data.tables import LogFile
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import BoolArray, Column
@@ -211,6 +212,8 @@ def join_logs(
         if verdict.is_one and "timestep" in columns:
             shift = int(columns["timestep"][0])
             columns["timestep"] = _move_first(columns, -shift)
+        if is_table and "episode" in columns:
+            columns["episode"] = settle_episodes(columns["episode"])
         with _files.parts_of(file.path, "a log"):
             try:
                 logs.append(cls(**columns))

@@ -300,7 +300,7 @@ def check_table(
 ) -> dict[str, Column]:
     """Return the values of a table's columns; names and episodes may be texts.
 
-    Raises an ArgumentError for the first fault.
+    Episodes are to be settled (``settle_episodes``). Raises an ArgumentError for the first fault.
 
     Parameters
     ----------
@@ -327,8 +327,6 @@ def check_table(
             if find_text is not None:
                 fault = fault.with_text(find_text(label, int(fault.rows[0])))
             raise fault.to_error(source)
-        if label == "episode":
-            values[label] = settle_episodes(values[label])
     _require_one_kind(values, source)
     return values
 

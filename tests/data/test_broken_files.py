@@ -2,7 +2,10 @@
 sentence each, naming the file.
 """
 
+import gzip
 import io
+import itertools
+import os
 import zipfile
 
 import numpy as np
@@ -354,3 +357,157 @@ def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
         ):
             oee.Transitions.load(name)
     assert list(tmp_path.iterdir()) == []
+
+
+# ---- what is no file, and what unpacks to far more
+
+
+def kinds_of_no_file(folder):
+    """Return a named pipe, a socket and links to devices, of all endings."""
+    for ending in (".csv", ".csv.gz", ".parquet", ".npz", ".npy", ".json", ""):
+        os.mkfifo(folder / f"pipe{ending}")
+        (folder / f"link{ending}").symlink_to(folder / f"pipe{ending}")
+        (folder / f"zero{ending}").symlink_to("/dev/zero")
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_pipes_and_devices_are_refused_at_once(tmp_path):
+    from kernels.files import describe_files, read_policy_array
+
+    from oee_tabular.data.tables import csv_frame
+
+    readers = (
+        oee.Transitions.load,
+        oee.Transitions.open,
+        oee.ContinuousTransitions.load,
+        oee.FiniteMDP.load,
+        oee.TransitionCounts.load,
+        lambda path: oee.Problem(GRID, path),
+        lambda path: describe_files([str(path)]),
+        lambda path: csv_frame(str(path)),
+        lambda path: read_policy_array(str(path), "policy"),
+    )
+    for path in kinds_of_no_file(tmp_path):
+        for read in readers:
+            with pytest.raises(ValueError, match="must be a regular file; it is a"):
+                read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_in_a_folder_is_not_passed_over(tmp_path):
+    LOG.save(tmp_path / "a.csv")
+    os.mkfifo(tmp_path / "b.csv")
+    for path in (tmp_path, str(tmp_path / "*.csv")):
+        for read in (oee.Transitions.load, oee.Transitions.open):
+            with pytest.raises(ValueError, match=r"b\.csv' must be a regular file"):
+                read(path)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        oee.Transitions.load,
+        oee.Transitions.open,
+        oee.FiniteMDP.load,
+        oee.TransitionCounts.load,
+        lambda handle: oee.Problem(GRID, handle),
+    ],
+)
+def test_open_files_are_no_paths(tmp_path, read):
+    with pytest.raises(ValueError, match="open file"):
+        read(io.StringIO("state,action,next_state\n0,0,1\n"))
+
+
+def test_what_unpacks_to_more_than_its_header_says(tmp_path, monkeypatch):
+    """Nothing of it is unpacked, whatever memory there is."""
+    large = bytes(2**24)
+    members = {
+        "raw": large,
+        "few": header((3,)) + large,
+        "long": b"\x93NUMPY\x02\x00\xff\xff\xff\x7f" + large,
+        "oee_tabular_kind": header((), "<U3") + large,
+    }
+    read = []
+    plain = zipfile.ZipExtFile.read
+    monkeypatch.setattr(
+        zipfile.ZipExtFile, "read", lambda file, n=-1: read.append(n) or plain(file, n)
+    )
+    for name, data in members.items():
+        path = archive(tmp_path / f"{name}.npz", {name: data})
+        for load in (read_npz, oee.Transitions.load, oee.Transitions.open):
+            with pytest.raises(ValueError, match=rf"{name}\.npz' must be an npz"):
+                load(path)
+    assert 0 <= min(read) <= max(read) <= 10_000
+
+
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz"])
+@pytest.mark.parametrize("start", ["", "state,action,next_state\n0,0,1\n"])
+def test_a_line_without_an_end(tmp_path, ending, start):
+    data = start.encode() + b"1" * (2**24 + 10)
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(gzip.compress(data, 1) if ending == ".csv.gz" else data)
+    for load in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(
+            ValueError, match=rf"line {1 + start.count(chr(10))} has more than 16777216"
+        ):
+            load(path)
+
+
+# ---- forged arrays with digests that fit
+
+
+WRONG = [
+    np.array(None, dtype=float),
+    np.array("x"),
+    np.array(["a", "\x1b[31mb"]),
+    np.array([-1]),
+    np.array([2**62]),
+    np.array([[1]]),
+    np.zeros(0),
+    np.array([1j]),
+    np.array(["2020"], dtype="M8[s]"),
+    np.zeros((0, 3)),
+    np.array([np.inf]),
+    np.array([True]),
+    np.array(b"x"),
+    np.array(3),
+    np.zeros(8) - 1,
+    np.zeros(8, dtype=np.int64) + 2**60,
+    np.full(8, 1.5),
+    np.array([2, 0, 0, 0, 0, 0, 0, 0]),
+    np.array([1, 1, 5, 1, 0, 0, 0, 0]),
+    np.array(["a"] * 9),
+    np.zeros(2, dtype="V8"),
+    np.zeros(2, dtype=[("a", "i4")]),
+]
+
+
+def test_forged_arrays_of_every_kind_are_refused_in_a_sentence(tmp_path):
+    """What is read can be printed, and prints no control character."""
+    LOG.save(tmp_path / "log.npz")
+    LOG.save(tmp_path / "log.csv")
+    oee.Transitions.open(tmp_path / "log.csv").save(tmp_path / "counts.npz")
+    GRID.save(tmp_path / "grid.npz")
+    oee.Transitions(["a"], ["x"], ["b"]).save(tmp_path / "names.npz")
+    vectors = oee.ContinuousTransitions([[0.0, 1.0]], [0], [[1.0, 2.0]], [0.5])
+    vectors.save(tmp_path / "vectors.npz")
+    readers = {
+        "log": oee.Transitions.load,
+        "names": oee.Transitions.load,
+        "counts": oee.TransitionCounts.load,
+        "grid": oee.FiniteMDP.load,
+        "vectors": oee.ContinuousTransitions.load,
+    }
+    for name, read in readers.items():
+        arrays = read_npz(tmp_path / f"{name}.npz")
+        for label, wrong in itertools.product(arrays, [*WRONG, None]):
+            forged = {key: array for key, array in arrays.items() if key != label}
+            forged |= {} if wrong is None else {label: wrong}
+            np.savez(tmp_path / "f.npz", **forged, **{DIGEST: digest(forged)})
+            try:
+                told = repr(read(tmp_path / "f.npz"))
+            except ValueError as error:
+                told = str(error)
+                assert "f.npz" in told, (name, label, wrong)
+            assert "\x1b" not in told
