@@ -236,7 +236,7 @@ def evaluate_continuous(
     _checks.boolean(normalized, "normalized")
     _checks.boolean(guaranteed, "guaranteed")
     _checks.boolean(quick, "quick")
-    own_facts = dict(_checks.instance(facts or {}, Mapping, "facts"))
+    own_facts = dict(_checks.instance({} if facts is None else facts, Mapping, "facts"))
     _checks.instance(
         simulator.task if target is None else target, ContinuousTask, "target"
     )

@@ -95,6 +95,8 @@ class HistoryTask(DerivedTask):
 
     def __init__(self, task: ContinuousTask, steps: int = 1) -> None:
         self.steps = steps = check_n_actions(steps, "steps")
+        # names, and as many coordinates of each of a thousand states
+        _checks.require_memory(1000.0 * steps, "steps", steps)
         about = "action" if steps == 1 else f"{steps} actions"
         super().__init__(
             _checks.instance(task, ContinuousTask, "task"),
