@@ -20,6 +20,7 @@ LONG = 2.0  # seconds of compiling after which the user is told
 
 tell: Callable[[str], object] | None = None
 _step: str | None = None  # what is being done; None means that nobody listens
+finished: list[str] = []  # lines on what is done, for a user who interrupts the work
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
@@ -59,6 +60,12 @@ def report_step(step: str) -> None:
             announce_compiling(tell)
 
 
+def report_finished(line: str) -> None:
+    """Keep a line on what is finished; an interrupted command prints these lines."""
+    if _step is not None:
+        finished.append(line)
+
+
 @contextmanager
 def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
     """Print the steps inside on stderr.
@@ -71,6 +78,7 @@ def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
         yield
         return
     _step = ""
+    finished.clear()
     is_done = threading.Event()
     thread = threading.Thread(target=_tell_steps, args=(is_done,), daemon=True)
     thread.start()

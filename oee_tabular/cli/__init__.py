@@ -57,6 +57,9 @@ class Command(TyperCommand):
         require_room()
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt:
+            _say_finished()
+            raise
         except ArgumentError as error:
             argument = ARGUMENTS.get(error.argument, error.argument)
             options = {
@@ -167,6 +170,13 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 def _show_step(sentence: str) -> None:
     """Print on stderr what is being done."""
     say(f"oee: {sentence}", err=True)
+
+
+def _say_finished() -> None:
+    """Print on stderr what an interrupted command has finished."""
+    say("oee: interrupted", err=True)
+    if _progress.finished:
+        say("\n".join(["Finished so far:", *_progress.finished]), err=True)
 
 
 def main(arguments: list[str] | None = None) -> None:

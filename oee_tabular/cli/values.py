@@ -823,7 +823,12 @@ def _print_lines(run: Callable[[Callable[[str], None]], None], as_json: bool) ->
         run(say)
         return
     lines: list[str] = []
-    run(lines.append)
+    try:
+        run(lines.append)
+    except KeyboardInterrupt:
+        for line in lines:
+            _progress.report_finished(line)
+        raise
     print_result("", {"lines": "\n".join(lines).split("\n")}, True)
 
 

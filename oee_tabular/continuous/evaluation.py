@@ -638,6 +638,7 @@ def _report_rows(
             _progress.report_step(f"{label} of “{name}”")
             estimate = choose_interval(row(policy), None, level, scale)
             results.append(Result(name, label, estimate))
+            _progress.report_finished(f"{label} of “{name}”: {estimate}")
     texts, notes = number_notes(results, group_findings(results))
     return Report(
         tuple(results),

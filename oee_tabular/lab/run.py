@@ -37,7 +37,7 @@ from oee_tabular import _files, _writing
 from oee_tabular._arguments import own_module_first, own_modules
 from oee_tabular._checks import show
 from oee_tabular._parallel import DEATHS, backend, parallel
-from oee_tabular._progress import progress_bar
+from oee_tabular._progress import progress_bar, report_finished
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import (
     Cell,
@@ -520,7 +520,15 @@ def run_experiment(
             disable=not progress,
             leave=True,
         ) as bar:
-            _compute(store, dict(enumerate(todo)), jobs, dask, bar)
+            try:
+                _compute(store, dict(enumerate(todo)), jobs, dask, bar)
+            except KeyboardInterrupt:
+                kept = total - len(store.missing())
+                report_finished(
+                    f"{folder}: {kept} of {total} cells are finished and kept; the same"
+                    " command goes on from there"
+                )
+                raise
     store.computed = len(todo)
     store.cached = total - len(todo)
     return store

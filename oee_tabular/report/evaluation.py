@@ -498,6 +498,7 @@ def _run_estimators(
                     estimate, findings=(MADE_FROM_LOG, *estimate.findings)
                 )
             results.append(Result(name, label, estimate))
+            _progress.report_finished(f"{label} of “{name}”: {estimate}")
     return results
 
 

@@ -23,6 +23,7 @@ from oee_tabular._arguments import module_and_path, own_modules, own_object
 from oee_tabular._isolation import call_in_worker, safe_children
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import end_with_parent
+from oee_tabular._progress import report_finished
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.exceptions import ArgumentError
@@ -275,6 +276,7 @@ def check_module(
             for name in left:
                 try:
                     verdicts[name] = answer(seconds)
+                    report_finished(f"{name}: {verdicts[name].outcome}")
                 except Ended as ended:
                     example = f"check_estimator(..., laws=[{name!r}], seed={seed})"
                     verdicts[name] = Verdict(name, ended.outcome, ended.text, example)
