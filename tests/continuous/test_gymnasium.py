@@ -847,3 +847,68 @@ def test_inverted_double_pendulum():
     ]
     assert_array_equal(logs[0].state[0], logs[1].state[0])
     assert np.abs(logs[0].next_state[0] - logs[1].next_state[0]).max() > 1e-6
+
+
+class Cart(gymnasium.Env):
+    """A number that actions move; what it returns is changed by functions of it."""
+
+    observation_space = gymnasium.spaces.Box(-9.0, 9.0, (1,))
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def __init__(self, **changes):
+        self.changes = changes
+        self.state = None
+
+    def change(self, name, value):
+        return self.changes.get(name, lambda same: same)(value)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = np.array([self.np_random.random()])
+        return self.change("begin", (self.state, {}))
+
+    def step(self, action):
+        self.change("act", action)
+        self.state = self.state + 0.1 * (2 * action - 1)
+        over = bool(abs(self.state[0]) > 3)
+        return self.change("give", (self.state, 1.0, over, False, {}))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (
+            lambda: Cart(give=lambda r: (*r[:3], r[4])),
+            r"^env.step\(.\) must return .* 4",
+        ),
+        (
+            lambda: Cart(give=lambda r: (r[0], None, *r[2:])),
+            "must give a finite number",
+        ),
+        (lambda: Cart(give=lambda r: (r[0], "1", *r[2:])), "must give a finite number"),
+        (
+            lambda: Cart(give=lambda r: (*r[:2], None, *r[3:])),
+            "must give True or False",
+        ),
+        (lambda: Cart(begin=lambda r: r[0]), r"^env.reset must return \(observation,"),
+        (lambda: Cart(act=lambda a: {}[a]), r"^env.step\(.\) must not raise; .* Key"),
+        (
+            lambda: {}["env"],
+            "^make must make an environment; it raises KeyError: 'env'",
+        ),
+        (lambda: "Pendulum-v1", r"^env must be a Gymnasium environment; got str \(gym"),
+        (lambda: gymnasium.make_vec("CartPole-v1", 2), "^env must be a single environ"),
+    ],
+)
+def test_what_an_environment_returns_is_checked(make, text):
+    with pytest.raises(ValueError, match=text):
+        GymnasiumTask(make, actions=[0, 1], state_names=["x"])
+
+
+def test_functions_of_a_state_that_raise_are_named():
+    GymnasiumTask(
+        lambda: Cart(give=lambda r: (r[0], np.ones(1), *r[2:])), actions=[0, 1]
+    )
+    for name in ("get_state", "set_state"):
+        with pytest.raises(ValueError, match=f"^{name} must .* AttributeError"):
+            GymnasiumTask(Cart, actions=[0, 1], **{name: lambda env, *state: env.lost})
