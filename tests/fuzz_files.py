@@ -24,6 +24,7 @@ import warnings
 import zipfile
 from pathlib import Path
 
+import fuzz_csv
 import numpy as np
 from fuzz_child import START, Child
 
@@ -200,6 +201,11 @@ def noise(data, rng):
     return data[: rng.integers(0, 9)] + rng.bytes(int(rng.integers(0, 200)))
 
 
+def mixed(data, rng):
+    """A CSV of odd lines, as fuzz_csv makes them."""
+    return fuzz_csv.texts(rng)[0]
+
+
 def packed(arrays, rng):
     """An npz of arrays, or of bytes that stand for one, with the habits of other
     programs.
@@ -310,6 +316,21 @@ def edited_npz(data, rng):
         elif is_array:
             arrays[name] = (forged if kind == 4 else edited_array)(arrays[name], rng)
     return packed(arrays, rng)
+
+
+def resealed(data, rng):
+    """An npz of ours with one array forged, and a digest that fits."""
+    from oee_tabular._files import DIGEST, digest
+
+    with np.load(io.BytesIO(data)) as stored:
+        arrays = {name: array for name, array in stored.items() if name != DIGEST}
+    name = str(rng.choice(list(arrays)))
+    for _ in range(20):
+        array = edited_array(arrays[name], rng)
+        if not array.dtype.hasobject:
+            arrays[name] = array
+            break
+    return packed(arrays | {DIGEST: np.array(digest(arrays))}, rng)
 
 
 def edited_zip(data, rng):
@@ -426,9 +447,9 @@ def edited_parquet(data, rng):
 
 ANY = (flipped, flipped, flipped, cut, spliced, noise)
 EDITS = {
-    ".npz": (*ANY, *[edited_npz] * 8, edited_zip, edited_zip, bomb),
+    ".npz": (*ANY, *[edited_npz] * 8, *[resealed] * 4, edited_zip, edited_zip, bomb),
     ".npy": (*ANY, *[edited_npy] * 6),
-    ".csv": (*ANY, *[edited_csv] * 6),
+    ".csv": (*ANY, *[edited_csv] * 6, *[mixed] * 4),
     ".parquet": (*ANY, *[edited_parquet] * 6),
 }
 
@@ -604,7 +625,7 @@ def is_ours(ending, kind, edit, data):
     damaged; its content is then held to.
     """
     return kind != "policy" and (
-        (ending == ".npz" and edit is not bomb)
+        (ending == ".npz" and edit not in (bomb, resealed))
         or (ending == ".parquet" and (edit in ANY or b"oee_tabular_digest" in data))
     )
 

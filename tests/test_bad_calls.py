@@ -483,7 +483,7 @@ def test_files_that_hold_something_else(tmp_path):
             r"must have the columns state, action, next_state; it has s, a",
         ),
         (Transitions.load, "gap.csv", r"action\[1\] must have a value; it has none"),
-        (Transitions.load, "words.csv", r"words.csv': state must hold integers"),
+        (Transitions.load, "words.csv", r"words.csv': state\[0\] must be a number"),
         (Transitions.load, "surplus.csv", r"must have 3 fields, as the header has"),
         (
             FiniteMDP.load,

@@ -373,9 +373,9 @@ def kinds_of_no_file(folder):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_pipes_and_devices_are_refused_at_once(tmp_path):
-    from kernels.files import describe_files, read_policy_array
-
+    from oee_tabular.cli.files import describe_files
     from oee_tabular.data.tables import csv_frame
+    from oee_tabular.mdp.policies import read_policy_array
 
     readers = (
         oee.Transitions.load,
