@@ -17,15 +17,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
-from numba.core import config as _config
+from numba.core import config as numba_config
 from numba.core.registry import CPUDispatcher
 from numba.misc.appdirs import AppDirs
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import CostWarning
 
-# its attributes are made when it is loaded
-config: Any = _config
+# numba makes its names at run time
+config: Any = numba_config
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -115,8 +115,7 @@ def _has_user_folder() -> bool:
 
     Without a home, its path is relative: code would be loaded from the current folder.
     """
-    folders: Any = AppDirs
-    return os.path.isabs(folders("numba", False).user_cache_dir)
+    return os.path.isabs(AppDirs("numba", False).user_cache_dir)  # type: ignore[no-untyped-call]
 
 
 @functools.cache

@@ -61,8 +61,7 @@ def _execute(execute: Callable[[Any], object], module: Any) -> None:
 def ignore_settings() -> None:
     """Let this process ignore settings of the current folder from now on."""
     if not is_isolated():
-        finder: Any = _Finder()
-        sys.meta_path.insert(0, finder)
+        sys.meta_path.insert(0, _Finder())
 
 
 def is_isolated() -> bool:

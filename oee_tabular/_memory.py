@@ -119,19 +119,19 @@ def _limited_groups() -> list[tuple[Path, tuple[str, str, str]]]:
 
     Looked for once, because most processes have none.
     """
-    paths = {}
+    groups = {}
     with contextlib.suppress(*UNREADABLE):
         for line in (ROOT / "proc/self/cgroup").read_text().splitlines():
             number, _, rest = line.partition(":")
             controllers, _, path = rest.partition(":")
             for name in controllers.split(",") if controllers else [number]:
-                paths[name] = path
+                groups[name] = path
     found = []
     for place, name, *files in GROUPS:
         # inside of a container, its own group may be at the top
-        group = Path("/" + paths.get(name, "").strip("/"))
-        for level in (group, *group.parents):
-            folder = ROOT / place / str(level).strip("/")
+        group = Path("/" + groups.get(name, "").strip("/"))
+        for parent in (group, *group.parents):
+            folder = ROOT / place / str(parent).strip("/")
             # "max", where there is no limit, is a ValueError
             with contextlib.suppress(*UNREADABLE):
                 if int((folder / files[0]).read_text()) < NO_LIMIT_BYTES:

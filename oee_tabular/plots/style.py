@@ -186,8 +186,8 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        own: Any = settings or {}
-        matplotlib.rcParams.update(own)
+        named: dict[Any, Any] = dict(settings or {})
+        matplotlib.rcParams.update(named)
         yield
 
 
