@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._sparse import check_csr
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray
 
@@ -396,7 +397,7 @@ def _array(kinds: str, what: str, value: Any, name: str) -> Any:
 
 
 def _sparse(value: Any, name: str) -> Any:
-    """Require a sparse matrix of real numbers; its parts are looked at on use."""
+    """Require a sparse matrix of real numbers whose parts fit together."""
     if not _checks.is_sparse(value):
         raise ArgumentError(
             name, f"must be a sparse matrix; got {type(value).__name__}"
@@ -407,6 +408,8 @@ def _sparse(value: Any, name: str) -> Any:
             "must be a csr matrix of real numbers; it has format"
             f" {value.format}, shape {value.shape} and type {value.dtype}",
         )
+    # native code follows its pointers and indices wherever they lead
+    check_csr(value, name)
     return value
 
 

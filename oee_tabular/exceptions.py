@@ -48,11 +48,12 @@ def _rebuild(
 
 
 def _text(value: object) -> str:
-    """Return the text of a part of a message; an error is raised whatever it is of."""
-    try:
-        return str(value)
-    except Exception:  # a user's object may raise anything
-        return f"<{type(value).__name__}>"
+    """Return a part of a message; of what is no text the name of its class.
+
+    The text of a user's object may raise, and that of a damaged sparse matrix may end
+    the process.
+    """
+    return value if isinstance(value, str) else f"<{type(value).__name__}>"
 
 
 class ArgumentError(ValueError):

@@ -150,6 +150,8 @@ class GridInterpolation:
             )
         object.__setattr__(self, "shape", shape)
         _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
+        if self.noise_points is not None:
+            _checks.positive_integer(self.noise_points, "noise_points")
 
     def places(
         self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object

@@ -26,7 +26,17 @@ from oee_tabular.typing import Array, IntArray
 N_BISECTIONS = 60  # of [0, 1], to more than a double's 53 bits
 
 
-@checked(levels=("confidence",), counts=("tested",))
+@checked(
+    shapes=dict.fromkeys(
+        (
+            *("certain", "estimated", "counts", "evidence"),
+            *("next_state", "simulated", "observed"),
+        ),
+        "S A",
+    ),
+    levels=("confidence",),
+    counts=("tested",),
+)
 @dataclass(frozen=True, eq=False)
 class RowChanges:
     """The distance in total variation of each pair in the target from the simulator.

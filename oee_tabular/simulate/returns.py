@@ -25,7 +25,11 @@ KINDS = ("per_decision", "trajectory")
 Kind: TypeAlias = Literal["per_decision", "trajectory"]
 
 
-@checked()
+@checked(
+    shapes=dict.fromkeys(
+        ("values", "returns", "weights", "lengths", "final_state"), "n"
+    )
+)
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
     """Returns and weights of n sampled episodes, the result of ``sample_returns``.

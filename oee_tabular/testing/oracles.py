@@ -32,7 +32,7 @@ from oee_tabular.testing.subject import name_of
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
-@checked(counts=("n", "failures"))
+@checked(shapes={"values": "r"}, counts=("n", "failures"))
 @dataclass(frozen=True, eq=False)
 class OracleComparison:
     """Hold what repetitions of an estimator gave, beside what is exact.

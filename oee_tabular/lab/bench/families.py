@@ -246,6 +246,8 @@ def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     """
     if _checks.positive_integer(n_states, "n_states") < 5:
         raise ArgumentError("n_states", f"must be at least 5; it is {n_states}")
+    # a table of probabilities, and its copies
+    _checks.require_memory(10.0 * float(n_states) ** 2, "n_states", n_states)
     return make_worse(n_states)(np.random.default_rng([check_seed(seed), n_states]))
 
 
