@@ -699,8 +699,8 @@ def _read_blocks(
     if "episode" in places:
         types[places["episode"]] = object  # "7" and "007" differ
     for label in MOVE:
-        place = labels.index(label) if label in places else len(first)
-        if place < len(first) and not is_number_text(first[place] or "0"):
+        number = labels.index(label) if label in places else len(first)
+        if number < len(first) and not is_number_text(first[number] or "0"):
             types[places[label]] = str
     words = {form(word) for word in MISSING_WORDS for form in (str.lower, str.upper)}
     words |= {"NaN", "-NaN", "Null", "None", "<Na>", "\\N"}
