@@ -382,11 +382,11 @@ def _moves_of(
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)
     own = [label for label in labels if label not in MOVE]
-    if any(label.startswith(UNNAMED_PREFIX) for label in own):
+    if any(not label or label.startswith(UNNAMED_PREFIX) for label in own):
+        shown = words([label or "''" for label in labels])
         raise ArgumentError(
             source,
-            f"must have a name for every column; it has {words(labels)} (a written"
-            " index?)",
+            f"must have a name for every column; it has {shown} (a written index?)",
         )
     if not own or len(table) == 0:
         rule = "at least one row"
