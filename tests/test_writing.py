@@ -600,7 +600,7 @@ import os, signal, sys
 
 blow, place, number = int(sys.argv.pop(1)), sys.argv.pop(1), int(sys.argv.pop(1))
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from oee_tabular.cli import values
+from oee_tabular import _writing
 calls = []
 
 def hook(function):
