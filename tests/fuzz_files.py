@@ -320,7 +320,7 @@ def edited_npz(data, rng):
 
 def resealed(data, rng):
     """An npz of ours with one array forged, and a digest that fits."""
-    from oee_tabular._files import DIGEST, digest
+    from kernels.files import DIGEST, digest
 
     with np.load(io.BytesIO(data)) as stored:
         arrays = {name: array for name, array in stored.items() if name != DIGEST}

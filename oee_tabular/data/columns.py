@@ -396,6 +396,16 @@ class LogColumns:
         Labels of other projects, such as ``obs``, ``next_obs`` and ``rewards``, are
         read with a warning, and refused where they may mean two things, as ``done``.
 
+        Each line of a CSV file is a transition: a quote that does not close in its
+        line is an error, and so is a second header. A missing reward is an empty field
+        or a word as other programs write it: nan, NA, NULL, None, N/A. Flags are true,
+        false, t, f, 0 and 1. Episodes are as many as their texts: 7 and 007 are two.
+
+        Of several files, the last episode of one and the first of the next are one
+        where they have one id, the last row is neither terminated nor truncated, and
+        states and timesteps go on; else a warning says what speaks against it. A
+        folder ``column=value`` names a column of the files in it.
+
         Examples
         --------
         >>> import pathlib, tempfile

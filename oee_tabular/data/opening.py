@@ -113,7 +113,8 @@ def open_log(
     -----
     The time is linear in the number of rows. The memory is that of the distinct
     transitions of one file and of the names of the episodes. The result does not
-    depend on ``jobs`` or ``dask``.
+    depend on ``jobs`` or ``dask``. ``load`` says what a file may hold, and when an
+    episode goes on in the next file.
 
     Examples
     --------

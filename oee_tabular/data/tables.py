@@ -787,7 +787,8 @@ def csv_frame(path: str) -> Any:
     """
     name = _files.local(path)
     labels, _, encoding = _csv_header(name)
-    if len(labels) > MAX_COLUMNS or len(set(labels)) < len(labels):
+    named = [label for label in labels if label]
+    if len(labels) > MAX_COLUMNS or len(set(named)) < len(named):
         raise ArgumentError(
             f"{name!r}",
             f"must have at most {MAX_COLUMNS} columns that differ; it has"
@@ -808,7 +809,10 @@ def csv_frame(path: str) -> Any:
         frame = _call_pandas(
             handle, encoding=encoding, keep_default_na=False, na_values=[""]
         )
-    frame.columns = labels
+    # a label that is empty has the name that pandas gives it
+    frame.columns = [
+        label or own for label, own in zip(labels, frame.columns, strict=True)
+    ]
     texts = frame.select_dtypes(["object", "str"])
     return frame.assign(
         **{label: texts[label].map(to_plain, na_action="ignore") for label in texts}
