@@ -813,9 +813,9 @@ def csv_frame(path: str) -> Any:
     frame.columns = [
         label or own for label, own in zip(labels, frame.columns, strict=True)
     ]
-    texts = frame.select_dtypes(["object", "str"])
+    texts = [label for label in frame if frame[label].dtype.kind not in "biuf"]
     return frame.assign(
-        **{label: texts[label].map(to_plain, na_action="ignore") for label in texts}
+        **{label: frame[label].map(to_plain, na_action="ignore") for label in texts}
     )
 
 
