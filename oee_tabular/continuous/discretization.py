@@ -150,6 +150,9 @@ class GridInterpolation:
             )
         object.__setattr__(self, "shape", shape)
         _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
+        for name in ("low", "high"):
+            if getattr(self, name) is not None:
+                _checks.float_array(getattr(self, name), name, ndim=1)
         if self.noise_points is not None:
             _checks.positive_integer(self.noise_points, "noise_points")
 

@@ -111,7 +111,9 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             return DEFAULT
     words = _checks.collection(words, name, "a collection of words")
     for word in words:
-        near = difflib.get_close_matches(str(word), CLAIMS, n=1)
+        near = []
+        if isinstance(word, str):
+            near = difflib.get_close_matches(word, CLAIMS, n=1)
         _checks.one_of(
             word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else ""
         )

@@ -25,6 +25,7 @@ from oee_tabular.estimators.calibrated import calibrate
 from oee_tabular.estimators.diagnostics import Diagnostics
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import NAMED, named_estimators
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import Conditional, Tied
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import CartPole, cartpole_policy, record
@@ -262,6 +263,24 @@ def test_a_pickle_that_holds_a_plain_dict_is_read():
     assert isinstance(old.diagnostics, Diagnostics)
 
 
-def test_a_key_of_another_type_is_kept_as_it_is():
-    facts = Estimate(1.0, diagnostics={"model_value": "high"}).diagnostics
-    assert facts.scaled(0.5) == {"model_value": "high"}
+@pytest.mark.parametrize(
+    ("facts", "place", "rule"),
+    [
+        ({"model_value": "high"}, "diagnostics['model_value']", "must be a number"),
+        ({"n_episodes": [3]}, "diagnostics['n_episodes']", "must be a number"),
+        ({"interval_method": 3}, "diagnostics['interval_method']", "must be a text"),
+        ({3: 1.0}, "diagnostics", "must have texts for keys; got 3"),
+        ([1, 2], "diagnostics", "must be a mapping; got list"),
+        ((1, 2), "diagnostics", "must be a mapping, or pairs of key and value"),
+    ],
+)
+def test_a_declared_key_has_its_type(facts, place, rule):
+    with pytest.raises(ArgumentError) as caught:
+        Estimate(1.0, diagnostics=facts)
+    assert caught.value.argument == place
+    assert caught.value.rule.startswith(rule)
+
+
+def test_other_keys_and_none_are_kept_as_they_are():
+    facts = {"model_value": None, "colour": ["red"], "coverage": np.float32(0.5)}
+    assert Estimate(1.0, diagnostics=facts).diagnostics == facts
