@@ -325,7 +325,8 @@ class Panels:
             )
             names = rows[self.curves].unique()
             curves = {str(name): points[name] for name in names} | curves
-            bands = {str(name): (low[name], high[name]) for name in names if self.bands}
+            for name in names if self.bands else ():
+                bands[str(name)] = (low[name].to_numpy(), high[name].to_numpy())
         where = np.sort(rows[self.x].unique())
         if self.log:
             curves = {name: y.where(y > 0) for name, y in curves.items()}
@@ -333,8 +334,10 @@ class Panels:
             self.beneath(ax, rows)
         if self.slope is not None:
             add_slope(ax, where, next(iter(curves.values())).to_numpy(), self.slope)
+        # all stand in the order of ``where``
+        plain = {name: y.to_numpy() for name, y in curves.items()}
         plot_curves(
-            where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel
+            where, plain, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel
         )
         yscale = "log" if self.log else "linear"
         ax.set(**{"yscale": yscale} | dict(self.axes))
