@@ -120,22 +120,23 @@ class Case:
         seed : Seed
             What ``numpy.random.default_rng`` takes.
 
-        Yields
-        ------
-        Transitions
-            The next log.
+        Returns
+        -------
+        iterator of Transitions
+            The logs.
         """
+        # checked and drawn at the call, not at the first log that is asked for
         n = _checks.positive_integer(n, "n")
         repetitions = _checks.positive_integer(repetitions, "repetitions")
         whole = self.log(n * repetitions, seed=seed)
         starts = whole.episode_starts
         columns = whole.columns()
         assert starts is not None
-        for k in range(repetitions):
-            rows = slice(starts[k * n], starts[(k + 1) * n])
-            yield Transitions(
-                **{name: column[rows] for name, column in columns.items()}
-            )
+        slices = (slice(starts[k * n], starts[(k + 1) * n]) for k in range(repetitions))
+        return (
+            Transitions(**{name: column[rows] for name, column in columns.items()})
+            for rows in slices
+        )
 
     def problem(self, n: int, *, seed: Seed) -> Problem:
         """Return the problem of a log of ``n`` episodes.

@@ -262,7 +262,7 @@ BOTH = [
     (
         "f.csv",
         table(x=KEYS).reset_index(names=""),
-        "must have a name for every column; it has '', state, action,",
+        "must have a name for every column; it has Unnamed: 0, state, action,",
     ),
     ("f.csv", table(x=1).iloc[:0], "{name} must have at least one row; it has none"),
     ("f.csv", changed(3, "kind", ""), f"column 'kind' {NUMBER} 3 has none or nan"),
