@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from oee_tabular._containers import LossError, to_plain_array
 from oee_tabular._containers import is_sparse as is_sparse
 from oee_tabular._containers import place as place
+from oee_tabular._containers import without_known_labels as without_known_labels
 from oee_tabular._memory import free_memory
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, Seed

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from datetime import date, time, timedelta
 from decimal import Decimal
 from fractions import Fraction
@@ -333,6 +333,19 @@ def without_shared_labels(columns: dict[str, Any]) -> dict[str, Any]:
         name: value.reset_index(drop=True) if hasattr(value, "iloc") else value
         for name, value in columns.items()
     }
+
+
+def without_known_labels(values: Any, labels: Sequence[Any]) -> Any:
+    """Return a Series whose labels are these, in this order, as a plain array.
+
+    Then position loses nothing. Anything else is returned as it is.
+    """
+    if not hasattr(values, "iloc") or getattr(values, "ndim", 1) != 1:
+        return values
+    own = list(values.index)
+    if len(own) == len(labels) and own == list(labels):
+        return values.to_numpy()
+    return values
 
 
 def _counts_from_zero(labels: Any) -> bool:

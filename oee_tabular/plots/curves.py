@@ -103,7 +103,8 @@ def plot_curves(
         ends[name] = [_check_like(end, where, f"bands[{name!r}]") for end in both]
     line = None
     if truth is not None:
-        line = _checks.float_array(truth, "truth", ndim=(0, 1))
+        plain = _checks.without_known_labels(truth, where.tolist())
+        line = _checks.float_array(plain, "truth", ndim=(0, 1))
         line = _check_like(
             line if line.ndim else np.full(len(where), line), where, "truth"
         )
@@ -299,7 +300,9 @@ def _check_curves(
 
 def _check_like(values: object, where: Array, name: str) -> Array:
     """Return values as an array that has one for each point."""
-    array = _checks.float_array(values, name, ndim=1)
+    # a group's mean, for one, is labelled by the points
+    plain = _checks.without_known_labels(values, where.tolist())
+    array = _checks.float_array(plain, name, ndim=1)
     if len(array) != len(where):
         raise ArgumentError(
             name, f"must have {len(where)} values, one a point; it has {len(array)}"

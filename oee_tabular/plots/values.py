@@ -197,11 +197,15 @@ def plot_intervals(
     >>> [label.get_text() for label in ax.get_yticklabels()]
     ['', 'oee', 'pdis']
     """
-    given = {"values": values, "lower": lower, "upper": upper}
-    value, low, high = arrays = [
-        _checks.float_array(array, name, ndim=1) for name, array in given.items()
-    ]
     names = _checks.collection(names, "names", "names, one a line")
+    given = {"values": values, "lower": lower, "upper": upper}
+    plain = {
+        name: _checks.without_known_labels(array, names)
+        for name, array in given.items()
+    }
+    value, low, high = arrays = [
+        _checks.float_array(array, name, ndim=1) for name, array in plain.items()
+    ]
     called: Sequence[str] = [""] * len(names)
     if groups is not None:
         called = _checks.collection(groups, "groups", "names, one a line")
