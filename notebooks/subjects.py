@@ -283,6 +283,7 @@ SUBJECTS = {
             "DataWarning",
             "DiscretizationWarning",
             "NumericalWarning",
+            "OutputWarning",
             "SimulatorWarning",
         ),
     },

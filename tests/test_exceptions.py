@@ -75,15 +75,15 @@ def test_an_error_carries_its_argument_and_its_rule(call, argument, rule):
 
 
 def read_frame():
-    """Leave a column out that resembles none."""
+    """Read a column by another project's label."""
     frame = pd.DataFrame({"state": [0], "action": [0], "next_state": [1]})
-    return oee.Transitions.from_frame(frame.assign(rewrd=1.0))
+    return oee.Transitions.from_frame(frame.assign(rewards=1.0))
 
 
 def read_file(folder):
     """Leave a column of a file out."""
     path = folder / "log.csv"
-    path.write_text("state,action,next_state,rewrd\n0,0,1,1.0\n")
+    path.write_text("state,action,next_state,remark\n0,0,1,1.0\n")
     return oee.Transitions.load(path)
 
 

@@ -7,7 +7,7 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
-from fuzz_values import Spite, SpiteOfText, spiteful, valid_values
+from fuzz_values import SpiteOfText, spiteful, valid_values
 from scipy import sparse
 
 import oee_tabular as oee
@@ -287,6 +287,6 @@ def test_a_result_that_holds_itself_can_be_written():
     assert dataclasses.replace(report) == report
 
 
-def test_an_error_of_a_callers_object_stays_what_it_is():
-    with pytest.raises(Spite):
+def test_an_error_of_a_callers_array_names_the_argument_and_what_it_raised():
+    with pytest.raises(ValueError, match=r"^policy must be .*Spite"):
         oee.policy_value(oee.testing.case("ragged").target, spiteful("__array__"))

@@ -323,7 +323,8 @@ def _read_outputs(
     if report is None:
         return None, outputs
     title, _, name = report.rpartition("=")
-    path = Path(name or report)
+    text = name or report
+    path = Path(text)
     if title and _is_place_of_page(Path(report), report):
         if _is_place_of_page(path, report):
             raise ArgumentError(
@@ -332,11 +333,12 @@ def _read_outputs(
                 f" {title}=./{name}, or ./{report})",
             )
         title = ""
+        text = report
         path = Path(report)
     page = new_page(path, "--report", overwrite=overwrite)
     if folder is not None and os.path.realpath(folder) == os.path.realpath(page.path):
         raise ArgumentError(
-            "--report", f"must be no folder; {str(path)!r} is the folder of --output"
+            "--report", f"must be no folder; {text!r} is the folder of --output"
         )
     return title or None, [*outputs, page]
 

@@ -294,7 +294,10 @@ def test_relabelled_and_padded_logs():
     log = case("ragged").log(3, seed=0)
     states = [1, 2, 3, 0]
     actions = [1, 0]
-    new = relabelled_log(log, pd.Series(states, index=[3, 2, 1, 0]), actions)
+    new = relabelled_log(log, pd.Series(states), actions)
+    # by position and by label it would be another permutation
+    with pytest.raises(ValueError, match="states must be a plain array"):
+        relabelled_log(log, pd.Series(states, index=[3, 2, 1, 0]), actions)
     assert new.state.tolist() == [states[s] for s in log.state]
     assert new.action.tolist() == [1 - a for a in log.action]
     assert new.reward.tolist() == log.reward.tolist()
