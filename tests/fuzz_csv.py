@@ -201,6 +201,8 @@ def compare(seed, number, folder, readers=(loaded, counted)):
             one, other = outcome(read, small, n), outcome(read, large, n)
             if one != other:
                 differ.append((k, read.__name__, data[:1500], one, other))
+                print(f"file {k}, {read.__name__}: {data[:1500]!r}")
+                print(f"  small: {one}\n  large: {other}\n", flush=True)
     return differ
 
 
@@ -212,8 +214,6 @@ def main():
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         differ = compare(given.seed, given.files, folder)
-    for k, read, data, one, other in differ:
-        print(f"file {k}, {read}: {data!r}\n  small: {one}\n  large: {other}\n")
     print(f"{given.files} files; in {len(differ)} readings the two readers differ")
     sys.exit(bool(differ))
 
