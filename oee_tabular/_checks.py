@@ -415,7 +415,10 @@ def positive_integer(value: Any, name: str) -> int:
 
 def is_integer(value: object) -> bool:
     """Return whether a value is an integer of Python or numpy, and not a boolean."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+    # a duration is an integer to numpy
+    return isinstance(value, int | np.integer) and not isinstance(
+        value, bool | np.timedelta64
+    )
 
 
 def is_zero(value: object) -> bool:

@@ -517,7 +517,8 @@ def _mapping(
     key_check: Check | None, value_check: Check | None, value: Any, name: str
 ) -> Any:
     """Require a mapping whose keys and values are of certain kinds."""
-    if not isinstance(value, Mapping):
+    # one of scipy's formats of matrices is a dict
+    if not isinstance(value, Mapping) or _checks.is_sparse(value):
         raise ArgumentError(name, f"must be a mapping; got {type(value).__name__}")
     changed = {}
     for key, item in value.items():

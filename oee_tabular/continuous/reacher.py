@@ -621,6 +621,11 @@ def reacher_log(
     >>> len(reacher_log(Reacher(), 1000, max_steps=25, seed=0))
     1000
     """
+    _checks.instance(task, ContinuousTask, "task")
+    if task.n_actions != len(LEVELS) ** 2:
+        raise ArgumentError(
+            "task", f"must have Reacher's {len(LEVELS) ** 2} actions; it is {task.name}"
+        )
     size = _checks.positive_integer(n, "n")
     parts = [
         record(
