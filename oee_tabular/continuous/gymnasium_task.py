@@ -228,8 +228,8 @@ class GymnasiumTask(ContinuousTask):
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
         self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
-        given = _checks.as_array(actions, "actions")
-        self.commands = self.actions if given.dtype.hasobject else given
+        stated = _checks.as_array(actions, "actions")
+        self.commands = self.actions if stated.dtype.hasobject else stated
         self.n_disturbances = 0
         self.periodic = (False,) * len(state) if periodic is None else tuple(periodic)
         self.terminates = terminates
