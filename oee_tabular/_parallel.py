@@ -245,7 +245,10 @@ def each(
 
     try:
         with backend(jobs, dask):
-            tasks = (joblib.delayed(function)(*call) for call in calls)
+            # a path may be relative to the folder of the caller; a cluster has its own
+            folder = os.getcwd() if dask is None else None
+            call_there = joblib.delayed(_call_in)
+            tasks = (call_there(folder, function, *call) for call in calls)
             yield from parallel(number, jobs, dask, return_as="generator")(tasks)
     except Exception as error:
         if type(error).__name__ not in DEATHS:
@@ -254,6 +257,13 @@ def each(
             "a worker process was killed, perhaps for lack of memory (fewer jobs need"
             " less)"
         ) from error
+
+
+def _call_in(folder: str | None, function: Callable[..., Any], *call: object) -> Any:
+    """Call a function in a folder: a worker that is used again is in another one."""
+    if folder is not None:
+        os.chdir(folder)
+    return function(*call)
 
 
 @contextlib.contextmanager

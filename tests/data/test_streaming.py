@@ -543,6 +543,16 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
     same(found, Transitions.open(folder))
 
 
+def test_workers_read_relative_paths_in_the_caller_s_folder(tmp_path, monkeypatch):
+    """Workers are used again, after the caller went to another folder."""
+    found = []
+    for name in ("one", "two"):
+        folder = written(tmp_path / name)
+        monkeypatch.chdir(folder)
+        found.append(Transitions.open("*.parquet", jobs=2))
+    same(*found)
+
+
 def test_a_scheduler_that_does_not_answer(tmp_path):
     pytest.importorskip("distributed")
     with pytest.raises(
