@@ -550,6 +550,8 @@ def test_workers_read_relative_paths_in_the_caller_s_folder(tmp_path, monkeypatc
         folder = written(tmp_path / name)
         monkeypatch.chdir(folder)
         found.append(Transitions.open("*.parquet", jobs=2))
+        for file in folder.iterdir():
+            file.unlink()
     same(*found)
 
 
