@@ -361,6 +361,8 @@ def _positive(check: Check, value: Any, name: str) -> Any:
 
 def _text(value: Any, name: str) -> Any:
     """Require a text."""
+    if isinstance(value, str):
+        return value
     return _checks.instance(value, str, name, "text")
 
 
@@ -521,14 +523,21 @@ def _mapping(
     if not isinstance(value, Mapping) or _checks.is_sparse(value):
         raise ArgumentError(name, f"must be a mapping; got {type(value).__name__}")
     changed = {}
+    if key_check is None and value_check is None:
+        return value
+    key_name = f"a key of {name}"
     for key, item in value.items():
-        place = f"{name}[{_checks.show(key)}]"
         if key_check is not None:
-            key_check(key, f"a key of {name}")
-        if value_check is not None:
-            kept = value_check(item, place)
-            if kept is not item:
-                changed[key] = kept
+            key_check(key, key_name)
+        if value_check is None:
+            continue
+        try:
+            kept = value_check(item, name)
+        except ArgumentError:
+            # the place is written only where it is needed, since that takes long
+            kept = value_check(item, f"{name}[{_checks.show(key)}]")
+        if kept is not item:
+            changed[key] = kept
     return {**value, **changed} if changed else value
 
 

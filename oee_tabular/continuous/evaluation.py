@@ -19,6 +19,7 @@ from scipy import sparse
 from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import conform
 from oee_tabular.continuous.correction import (
     ParameterFit,
     choose_correction,
@@ -236,7 +237,9 @@ def evaluate_continuous(
     _checks.boolean(normalized, "normalized")
     _checks.boolean(guaranteed, "guaranteed")
     _checks.boolean(quick, "quick")
-    own_facts = dict(_checks.instance({} if facts is None else facts, Mapping, "facts"))
+    own_facts = dict(
+        conform({} if facts is None else facts, "facts", Mapping[str, Any])
+    )
     _checks.instance(
         simulator.task if target is None else target, ContinuousTask, "target"
     )

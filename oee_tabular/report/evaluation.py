@@ -13,6 +13,7 @@ import numpy as np
 from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
+from oee_tabular._results import conform
 from oee_tabular.estimators import Estimate, Estimator, Problem
 from oee_tabular.estimators.findings import (
     FEW_WEIGHTED,
@@ -206,7 +207,7 @@ def evaluate(
         problem, normalized=normalized, guaranteed=guaranteed, quick=quick
     )
     if facts is not None:
-        _checks.instance(facts, Mapping, "facts")
+        conform(facts, "facts", Mapping[str, Any])
     simulator = problem.simulator
     if target is not None:
         _check_target(target, simulator)
@@ -275,7 +276,7 @@ def evaluate(
         simulator.discount,
         problem.horizon,
         seed,
-        about | dict(facts or {}),
+        about | dict({} if facts is None else facts),
         uncertainty,
         problem,
         named,
