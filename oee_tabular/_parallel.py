@@ -75,9 +75,12 @@ class _OneThread:
 
     def __exit__(self, *error: object) -> None:
         with self.lock:
-            if self.n_inside == 1:
-                self._set(self.before)
+            is_last = self.n_inside == 1
+            # before the number is set: what a signal raises in between leaves one
+            # thread, never several that the next call would take for one
             self.n_inside = max(self.n_inside - 1, 0)
+            if is_last:
+                self._set(self.before)
 
     def _set(self, numbers: list[int]) -> None:
         """Set the number of threads of each library."""

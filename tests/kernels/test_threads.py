@@ -13,15 +13,13 @@ from test_threads import blas_threads
 from threadpoolctl import threadpool_limits
 
 import oee_tabular as oee
-from oee_tabular._parallel import ONE_THREAD, dot, one_thread
+from oee_tabular._parallel import dot, one_thread
 
 
-def test_one_thread_inside_and_as_many_as_before_afterwards(monkeypatch):
+def test_one_thread_inside_and_as_many_as_before_afterwards():
     """Also after an error, when calls are within calls, and when Python threads leave
     in the order in which they came.
     """
-    # another test may have loaded a BLAS of another package since they were found
-    monkeypatch.setattr(ONE_THREAD, "libraries", None)
     assert oee.transition_ratio.__name__ == "transition_ratio"
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
