@@ -63,6 +63,13 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
             "must be text, not empty and without a null character; got"
             f" {_checks.show(name)}",
         )
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:
+        raise ArgumentError(
+            argument,
+            f"must be text that a file's name can hold; got {_checks.show(name)}",
+        ) from None
     if len(name) > LONGEST_PATH:
         raise ArgumentError(
             argument,

@@ -249,6 +249,10 @@ from_frame(frame(logp=-1.0))  ->  frame must ...; 'logp' is the logarithm of a p
 from_frame(frame(trajectory_id=0, ep=0))  ->  frame must have one column of episode; 'trajectory_id' and 'ep' may each
 from_frame(frame(), columns={"stat": "place"})  ->  columns must have keys of state, ...; got 'stat' (did you mean state?)
 from_frame(frame(), columns={"place": "state"})  ->  columns must have keys ...'place' (the other way round: {'state': 'place'})
+Problem(GRID, LOG, columns=np.ma.masked_array([1.0, 2.0]))  ->  columns must be left out for Transitions
+Problem(GRID, LOG, columns=sparse.eye_array(3))  ->  columns must be left out for Transitions
+TransitionCounts.load("\ud800")  ->  path must be text that a file's name can hold; got '\ud800'
+oee.tasks.fit_parameters(lambda gravity: oee.tasks.CartPole(gravity), {"mass": 1.0}, states())  ->  start must name parameters
 from_frame(frame(), columns=["state"])  ->  columns must be a mapping from a log's columns to those of the file
 from_frame(frame(), columns={"state": "stat"})  ->  columns must name columns of frame, ...'stat' (did you mean 'state'?)
 from_frame(frame(), columns={"state": None})  ->  columns must name a column for state; it is None

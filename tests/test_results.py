@@ -213,6 +213,15 @@ def test_lists_become_what_is_declared():
     assert oee.Estimate(Decimal("0.5")).value == 0.5
 
 
+@pytest.mark.parametrize("law", ["limits", 3, Decimal("sNaN"), ["limit"], None])
+def test_a_law_that_has_no_verdict(law):
+    verdict = oee.testing.Verdict("limit", "holds", "x")
+    verdicts = oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict})
+    assert verdicts["limit"] == verdict
+    with pytest.raises(KeyError, match="law must be one of limit; got"):
+        verdicts[law]
+
+
 def test_the_rules_of_fields():
     pair = oee.testing.case("ragged")
     plan = oee.plan_data_collection(pair.problem(50, seed=0), pair.policy, n=20)

@@ -56,6 +56,7 @@ SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])
 # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
 SPREAD = 2.0
 SMALLEST_SPREAD = 0.05
+MOST_STEPS = 10**11  # an hour or more
 EXPERT_SEED = 2346
 # what train_expert() returns
 EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)
@@ -394,6 +395,14 @@ def train_expert(
     if elite > population:
         raise ArgumentError(
             "elite", f"must be at most the population, {population}; it is {elite}"
+        )
+    _checks.require_memory(16.0 * population * episodes, "population", population)
+    n_steps = iterations * population * episodes * horizon
+    if n_steps > MOST_STEPS:
+        raise ArgumentError(
+            "horizon",
+            "must leave a number of steps that ends, iterations * population * episodes"
+            f" * horizon <= {MOST_STEPS:g}; it is {n_steps:g}",
         )
     simulator = CartPole()
     if task is not None:

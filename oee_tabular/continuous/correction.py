@@ -238,7 +238,15 @@ def fit_parameters(
         """Return the parameters as a mapping from their names."""
         return dict(zip(names, x.tolist(), strict=True))
 
-    first = _checks.instance(task_of(**by_name(x0)), ContinuousTask, "task_of(**start)")
+    try:
+        made = task_of(**by_name(x0))
+    except TypeError as refusal:
+        if "keyword argument" not in str(refusal):  # it is of what task_of does inside
+            raise
+        raise ArgumentError(
+            "start", f"must name parameters that task_of takes: {refusal}"
+        ) from refusal
+    first = _checks.instance(made, ContinuousTask, "task_of(**start)")
     require_log_of(first, log)
     actions = log.action_numbers(first.actions)
     periods = find_periods(first, log.next_state)

@@ -266,6 +266,7 @@ def record(
         )
     rows = _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * rows, "n_transitions", rows)
+    steps = min(steps, rows)  # where a longer episode goes on, the log has ended
     parts: list[ContinuousTransitions] = []
     generator = _checks.generator(seed)
     while sum(map(len, parts)) < rows:

@@ -336,7 +336,8 @@ def _limits(
 
 def refuse_columns(columns: object, source: str) -> None:
     """Raise an ArgumentError where columns are named of what has its own labels."""
-    if columns:
+    is_empty = isinstance(columns, Mapping) and not columns
+    if columns is not None and not is_empty:
         raise ArgumentError(
             "columns",
             f"must be left out for {source}: it names the columns of a table, a file or"

@@ -497,7 +497,8 @@ def run_experiment(
     is_integer = isinstance(jobs, int | np.integer) and not isinstance(jobs, bool)
     if not is_integer or jobs == 0 or jobs < -1:
         raise ArgumentError(
-            "jobs", f"must be a positive number, or -1 for one a core; got {jobs!r}"
+            "jobs",
+            f"must be a positive number, or -1 for one a core; got {show(jobs)}",
         )
     require_modules(settings.experiment)
     with backend(jobs, dask) as cluster:

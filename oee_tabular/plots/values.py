@@ -258,7 +258,8 @@ def plot_intervals(
         ax.get_yticklabels()[y[start] - 1].set_fontweight("bold")
     ax.tick_params(axis="y", pad=9)
     ax.spines[["left", "top", "right"]].set_visible(False)
-    ax.locator_params(axis="x", nbins=5)
+    if ax.get_xscale() == "linear":  # other scales place their own ticks
+        ax.locator_params(axis="x", nbins=5)
     ax.grid(axis="x", alpha=0.3)
     letters = max(20, int(LETTERS * ax.bbox.width / ax.figure.dpi))
     ax.set_xlabel(textwrap.fill(xlabel, letters))

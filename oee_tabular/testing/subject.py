@@ -211,6 +211,12 @@ class Verdicts(Mapping[str, Verdict]):
         return "all laws hold"
 
     def __getitem__(self, law: str) -> Verdict:
+        """Return the verdict on a law; a KeyError where there is none."""
+        if not isinstance(law, str) or law not in self.verdicts:
+            raise KeyError(
+                f"law must be one of {', '.join(self.verdicts)}; got"
+                f" {_checks.show(law)}"
+            )
         return self.verdicts[law]
 
     def __iter__(self) -> Iterator[str]:

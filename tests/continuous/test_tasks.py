@@ -154,6 +154,11 @@ def test_the_same_seed_gives_the_same_bits():
         CartPole(), cartpole_policy(0.3), n_transitions=1000, max_steps=100, seed=1
     )
     assert_array_equal(short.state, one.state[:1000])
+    # also within the first episode, which does not go on where the log has ended
+    endless = record(
+        CartPole(), cartpole_policy(0.3), n_transitions=20, max_steps=10**12, seed=1
+    )
+    assert_array_equal(endless.state, one.state[:20])
     values = [
         monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4)
         for _ in range(2)

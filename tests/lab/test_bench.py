@@ -277,7 +277,7 @@ BAD = {
     ),
     "unknown family": (
         {"families": ["machin"]},
-        r"family must be one of .*; got 'machin'; nearest: machine",
+        r"families must be one of .*; got 'machin'; nearest: machine",
     ),
     "no families in a text": (
         {"families": ","},

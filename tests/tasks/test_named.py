@@ -236,6 +236,14 @@ def test_under_the_uniform_policy_the_chain_does_not_depend_on_slip():
         ),
         (lambda: train_expert(task=[CartPole()]), "^task must be a CartPole; got list"),
         (
+            lambda: train_expert(population=3 * 10**13),
+            "^population must be small enough for this machine's memory",
+        ),
+        (
+            lambda: train_expert(horizon=4 * 10**9),
+            r"^horizon must leave a number of steps that ends, .*; it is \d",
+        ),
+        (
             lambda: visited_states(CartPole(), [], 9, max_steps=9, seed=0),
             "^tasks must be",
         ),

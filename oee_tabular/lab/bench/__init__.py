@@ -516,7 +516,7 @@ def find_family(source: Any, name: str, seed: int) -> Family:
     every = families_at(source, seed)
     if name not in every:
         if isinstance(every, Families):
-            raise ValueError(every.missing(name))
+            raise ArgumentError("families", every.missing(name))
         raise ArgumentError(
             "families",
             f"must have {name!r} at every seed; at seed {seed} it is missing",

@@ -430,7 +430,7 @@ class Families(Mapping[str, Family]):
     def __getitem__(self, name: str) -> Family:
         """Return the family of a name; KeyError says which are near."""
         if name not in self:
-            raise KeyError(self.missing(name))
+            raise KeyError(f"family {self.missing(name)}")
         if name not in self._made:
             self._made[name] = self._make(name)
         return self._made[name]
@@ -472,8 +472,7 @@ class Families(Mapping[str, Family]):
         if near:
             hint = f"; nearest: {', '.join(near)}"
         return (
-            f"family must be one of {', '.join(self._makers)}; got"
-            f" {_checks.show(name)}{hint}"
+            f"must be one of {', '.join(self._makers)}; got {_checks.show(name)}{hint}"
         )
 
     def _make(self, name: str) -> Family:
