@@ -8,6 +8,7 @@ compiler gets one sentence.
 from __future__ import annotations
 
 import functools
+import math
 import sys
 import threading
 import time
@@ -21,6 +22,24 @@ LONG = 2.0  # seconds of compiling after which the user is told
 tell: Callable[[str], object] | None = None
 _step: str | None = None  # what is being done; None means that nobody listens
 finished: list[str] = []  # lines on what is done, for a user who interrupts the work
+
+
+class Watch:
+    """A limit in time for work that can stop early; None is no limit."""
+
+    def __init__(self, seconds: float | None) -> None:
+        """Begin to measure the time."""
+        self.end = math.inf if seconds is None else time.monotonic() + seconds
+
+    @property
+    def is_over(self) -> bool:
+        """Return whether the time is over."""
+        return time.monotonic() >= self.end
+
+    def part(self, share: float) -> Watch:
+        """Return a watch for a share of the time that is left."""
+        left = self.end - time.monotonic()
+        return Watch(None if math.isinf(left) else share * left)
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:

@@ -146,8 +146,9 @@ def texts(rng):
     small = head + end.join([after] * N_AFTER) + pick(rng, ["", end])
     large = head + end.join([after] * (SIZE // len(after) + 2)) + end
     data, more = small.encode(code), large.encode(code)
-    if rng.random() < 0.05:
-        data, more = data[:-1] + b"\xff", more[:-1] + b"\xff"
+    if rng.random() < 0.05:  # a byte that UTF-8 does not have ends the own rows
+        k = len(head.encode(code)) - 1
+        data, more = (x[:k] + b"\xff" + x[k + 1 :] for x in (data, more))
     return data, more, len(lines)
 
 
@@ -170,7 +171,22 @@ def words(text, path):
 def loaded(path, n):
     """Return the first n rows of a log's columns."""
     columns = oee.Transitions.load(path).columns()
-    return {label: repr(column[:n].tolist()) for label, column in columns.items()}
+    return {label: shown(column[:n]) for label, column in columns.items()}
+
+
+def shown(column):
+    """Return a column as text, in which zero has no sign."""
+    return re.sub(r"-0\.0(?=[,\]])", "0.0", repr(column.tolist()))
+
+
+def is_same(one, other):
+    """Return whether two outcomes are the same, or errors about one broken file.
+
+    A file that is not in UTF-8 and has a field that is too long may be told either.
+    """
+    broken = "must be a CSV table with a header"
+    texts = isinstance(one, str) and isinstance(other, str)
+    return one == other or (texts and broken in one and broken in other)
 
 
 def counted(path, n):
@@ -180,7 +196,7 @@ def counted(path, n):
     reasons = [words(reason, path) for reason in told.reasons]
     is_after = (counts.state == 1) & (counts.action == 1) & (counts.next_state == 1)
     rest = {label: column[~is_after] for label, column in counts.columns().items()}
-    sums = {label: repr(column.tolist()) for label, column in rest.items()}
+    sums = {label: shown(column) for label, column in rest.items()}
     return told.dropped, told.episodes, told.broken, reasons, sums
 
 
@@ -199,7 +215,7 @@ def compare(seed, number, folder, readers=(loaded, counted)):
         # without a simulator counts take no names, and leave all other rows out
         for read in readers[: 1 + (b"hall,hall" not in data)]:
             one, other = outcome(read, small, n), outcome(read, large, n)
-            if one != other:
+            if not is_same(one, other):
                 differ.append((k, read.__name__, data[:1500], one, other))
                 print(f"file {k}, {read.__name__}: {data[:1500]!r}")
                 print(f"  small: {one}\n  large: {other}\n", flush=True)

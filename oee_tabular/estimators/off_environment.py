@@ -300,6 +300,22 @@ class OffEnvironment(RatioEstimator):
         return moments.mean
 
 
+def estimate_with_rows(problem: Problem, policy: Array) -> tuple[Estimate, Array]:
+    """Compute the default's estimate, and the rows zeta P that it begins from.
+
+    The rows have one probability for each entry of the simulator's transitions. The
+    estimate is ``OffEnvironment()(problem, policy)`` without its findings; no seed
+    matters.
+    """
+    default = OffEnvironment()
+    zeta = default.fit(problem, policy, np.random.default_rng(0))
+    rows = reweight(problem.model, zeta).transitions.data
+    try:
+        return _estimate_exactly(problem, zeta, policy), rows
+    except DivergentKernelError as divergence:
+        return Estimate(float("nan"), status=str(divergence)), rows
+
+
 def _estimate_exactly(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> Estimate:

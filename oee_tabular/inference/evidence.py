@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,7 @@ from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 # values may be 1e14 times as large at usual discounts, and their squares must be floats
 MAX_REWARD = 1e140
 N_ROWS_SHOWN = 5  # of the rows that an error names
+MAX_HALVINGS = 80  # of an interval of log factors, to the last digit
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,25 @@ class Evidence:
         """Return the model with other probabilities on its entries, zeros kept."""
         return with_rows(self.model, probabilities)
 
+    def near(self, estimated: Array, factor: float) -> Evidence:
+        """Return the evidence in which unrecorded rows are near estimated ones.
+
+        In a row without data P' is between Q / factor and factor * Q, and within the
+        box, where Q is the estimated row (of ``estimated``, one number an entry), as
+        near to it as the box allows. Q takes the simulator's place in ``phat``. Rows
+        with data stay as they are.
+        """
+        never = self.rows.spread(self.n) == 0
+        centre = estimated / self.rows.spread(self.rows.sums(estimated))
+        if self.has_box:
+            centre = _scale_into(self.rows, centre, self.low, self.high)
+        return replace(
+            self,
+            phat=np.where(never, centre, self.phat),
+            low=np.where(never, np.maximum(self.low, centre / factor), self.low),
+            high=np.where(never, np.minimum(self.high, centre * factor), self.high),
+        )
+
 
 def gather(
     problem: Problem,
@@ -117,6 +137,27 @@ def evidence_of(
     return Evidence(
         model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box
     )
+
+
+def _scale_into(rows: Rows, p: Array, low: Array, high: Array) -> Array:
+    """Multiply each row by the factor with which it sums to 1 when clipped to a box.
+
+    Rows that are in the box stay as they are. The sum grows with the factor, which is
+    found by halving an interval of its logarithm.
+    """
+    is_outside = rows.sums(((p < low) | (p > high)).astype(float)) > 0
+    if not is_outside.any():
+        return p
+    least = np.full(len(rows.number), -60.0)
+    most = np.full(len(rows.number), 60.0)
+    for _ in range(MAX_HALVINGS):
+        middle = 0.5 * (least + most)
+        scaled = np.clip(p * np.exp(rows.spread(middle)), low, high)
+        is_short = rows.sums(scaled) < 1.0
+        least = np.where(is_short, middle, least)
+        most = np.where(is_short, most, middle)
+    scaled = np.clip(p * np.exp(rows.spread(0.5 * (least + most))), low, high)
+    return np.where(rows.spread(is_outside), scaled, p)
 
 
 def require_squares(model: FiniteMDP) -> None:

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from oee_tabular import _checks, _printing
+from oee_tabular import _checks, _printing, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked
-from oee_tabular.estimators import OffEnvironment, Problem
+from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.exact import policy_value
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.asymptotic import (
+    Margin,
     bootstrap_values,
     outside_margin,
     value_covariances,
@@ -30,6 +32,7 @@ from oee_tabular.inference.evidence import (
     unrecorded_share,
 )
 from oee_tabular.inference.likelihood import (
+    End,
     FeaturesLike,
     TieLike,
     likelihood_ends,
@@ -50,6 +53,8 @@ from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# by how much probabilities of unrecorded pairs may differ from the estimated ones
+FACTOR = 3.0
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 # of the ends: a narrower interval of observed spread is none
 VARIATION_TOLERANCE = 1e-12
@@ -85,14 +90,15 @@ class Interval:
     status : str
         "ok", or the contradiction between the log and the assumed box.
     sampling : (float, float) or None
-        The part of a likelihood interval that is due to sampling; None for the other
-        methods and if there is no standard error. If the policy reaches only recorded
-        pairs and no transition was dropped, it is the likelihood interval before it is
-        widened for a sampled simulator. Otherwise it is the value of
-        ``OffEnvironment()`` ± a normal quantile times its standard error. This standard
-        error counts an unrecorded pair as if it had been recorded once. With 3 to 10
-        transitions in each pair and 90% of the policy's time in recorded pairs, the 95%
-        interval covered in 96% of the trials.
+        The likelihood interval at ``unrecorded=1``: unrecorded pairs behave as
+        estimated. None for the other methods and if there is no standard error. If the
+        policy reaches only recorded pairs and no transition was dropped, it is the
+        likelihood interval before it is widened for a sampled simulator. Otherwise it
+        is the value of ``OffEnvironment()`` ± a normal quantile times its standard
+        error, which counts an unrecorded pair as if it had been recorded once.
+    worst_case : (float, float) or None
+        The likelihood interval at ``unrecorded=inf``: unrecorded pairs may do anything
+        that the simulator (and the box) allows. None for the other methods.
     under : str
         The assumption that the interval rests on: "the tie" or "the features"; "" if
         there is none.
@@ -123,6 +129,7 @@ class Interval:
     status: str = "ok"
     sampling: tuple[float, float] | None = None
     under: str = field(default="", repr=False)
+    worst_case: tuple[float, float] | None = None
 
     @property
     def width(self) -> float:
@@ -142,6 +149,11 @@ class Interval:
             what = f"{level} {self.method} interval"
         if self.status != "ok":
             return f"no {what}: {self.status}"
+        if "stopped_after" in self.diagnostics:
+            what = (
+                f"inner bounds of the {what} (the search was stopped after"
+                f" {self.diagnostics['stopped_after']:.3g} s)"
+            )
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -170,9 +182,12 @@ class Interval:
             ("confidence", f"{100 * self.confidence:.4g}%"),
             ("method", self.method),
         ]
-        if self.sampling is not None:
-            sampling = _printing.interval(*self.sampling)
-            rows.append(("from the recorded transitions alone", sampling))
+        for ends, meaning in (
+            (self.sampling, "if unrecorded pairs behave as estimated"),
+            (self.worst_case, "if unrecorded pairs may do anything"),
+        ):
+            if ends is not None:
+                rows.append((meaning, _printing.interval(*ends)))
         rows += [
             (name, f"{x:.4g}" if isinstance(x, float) else x)
             for name, x in self.diagnostics.items()
@@ -194,9 +209,11 @@ def interval(
     upper_ratio: float | None = None,
     tie: TieLike | None = None,
     features: FeaturesLike | None = None,
+    unrecorded: float | None = None,
     radius: Literal["auto", "independent", "anytime"] = "auto",
     resample: Literal["transitions", "episodes"] = "transitions",
     n_bootstrap: int = 400,
+    seconds: float | None = None,
     seed: Seed = None,
 ) -> Interval:
     """Compute a confidence interval for the value of a policy in the target.
@@ -218,7 +235,7 @@ def interval(
         - "likelihood": the values that the profile likelihood does not reject, by the
           chi-square quantile of one degree of freedom. It covers in large logs.
           Unrecorded pairs that the policy reaches take their worst and best
-          distributions in the box.
+          distributions in the box that are near the estimated ones (``unrecorded``).
         - "delta": the value of the maximum-likelihood model ± a normal quantile times
           its standard error. It covers in large logs. It assumes that the simulator is
           exact in unrecorded pairs.
@@ -247,6 +264,12 @@ def interval(
     features : array, data frame or function, optional
         Features of each transition, as in ``transition_ratio``, along which alone the
         target differs from the simulator.
+    unrecorded : float, optional
+        The factor, at least 1, by which the probabilities of "likelihood" in pairs that
+        were never recorded may differ from the estimated ones (of ``OffEnvironment()``,
+        zeta P). 1: they behave as estimated (``Interval.sampling``). ``inf``: they may
+        do anything that the simulator and the box allow (``Interval.worst_case``). None
+        is 3; with a box, which bounds these pairs itself, it is ``inf``.
     radius : {'auto', 'independent', 'anytime'}, default 'auto'
         The radius of the KL balls of "robust" and of the test of the box. "independent"
         is valid if the counts of pairs were fixed before recording, "anytime" also if
@@ -257,6 +280,10 @@ def interval(
         10 episodes.
     n_bootstrap : int, default 400
         The number of resamples, for "bootstrap" only.
+    seconds : float, optional
+        The time, above 0, after which the search for the ends of "likelihood" is
+        stopped. The ends found so far are then inner bounds of the interval, and
+        ``diagnostics["stopped_after"]`` says so. None sets no limit.
     seed : int, Generator or SeedSequence, optional
         The seed of the resamples, for "bootstrap" only. None draws a new seed.
 
@@ -310,10 +337,12 @@ def interval(
     _checks.one_of(radius, "radius", ("auto", "independent", "anytime"))
     _checks.one_of(resample, "resample", ("transitions", "episodes"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    has_box = lower_ratio is not None or upper_ratio is not None
+    factor = check_factor(unrecorded, has_box=has_box)
+    limit = check_seconds(seconds, "seconds")
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
     if tie is not None or features is not None:
-        has_box = lower_ratio is not None or upper_ratio is not None
         return _interval_under(
             problem, policy, tie, features, level, method, has_box=has_box
         )
@@ -336,10 +365,10 @@ def interval(
         kind = "anytime" if problem.log.by_episodes else "independent"
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     margin = outside_margin(problem, evidence)
-    unrecorded = _count_unrecorded(evidence)
+    n_unrecorded = _count_unrecorded(evidence)
     facts: dict[str, Any] = {
         "unrecorded_share": unrecorded_share(evidence),
-        "unrecorded_pairs": unrecorded,
+        "unrecorded_pairs": n_unrecorded,
     }
     if margin is not None:
         facts |= margin.diagnostics
@@ -350,14 +379,11 @@ def interval(
             status = _write_contradiction(evidence, wrong, box, level)
             facts["contradicted_rows"] = wrong
             return Interval(np.nan, np.nan, level, method, facts, status)
-    sampling: tuple[float, float] | None = None
     if method == "likelihood":
-        lower, upper, about = _likelihood_interval(evidence, level)
-        sampling = lower, upper
-        if has_dropped or unrecorded:
-            sampling = _interval_as_estimated(problem, evidence, z, sampling)
-            about["sampling_method"] = "value ± quantile x standard error"
-    elif method == "robust":
+        return _likelihood_interval(
+            problem, evidence, level, factor, margin, facts, limit
+        )
+    if method == "robust":
         lower, upper, about = _robust_interval(problem, evidence, level, kind)
     elif method == "delta":
         lower, upper, about = _delta_interval(evidence, z)
@@ -376,7 +402,7 @@ def interval(
     if method in ("delta", "bootstrap") and is_narrow and not is_certain:
         facts["standard_error"] = np.nan
         return Interval(np.nan, np.nan, level, method, facts, NO_VARIATION)
-    return Interval(lower, upper, level, method, facts, sampling=sampling)
+    return Interval(lower, upper, level, method, facts)
 
 
 @suggest_keywords
@@ -450,18 +476,84 @@ def value_range(
     return Interval(low.bound, high.bound, 1.0, "range", facts)
 
 
+def check_factor(unrecorded: object, *, has_box: bool) -> float:
+    """Check the factor of unrecorded pairs; None is the default.
+
+    The default is ``FACTOR``, and infinity with a box, which bounds these pairs itself.
+    """
+    if unrecorded is None:
+        return np.inf if has_box else FACTOR
+    return _checks.number_in(unrecorded, "unrecorded", 1.0, np.inf, infinite=True)
+
+
+def check_seconds(seconds: object, name: str) -> float | None:
+    """Check a limit in seconds, above 0; None is no limit."""
+    if seconds is None:
+        return None
+    return _checks.number_in(seconds, name, 0.0, np.inf, open_ends=True)
+
+
 def _likelihood_interval(
-    evidence: Evidence, level: float
-) -> tuple[float, float, dict[str, Any]]:
-    """Return the ends of the profile likelihood interval, and how they were found."""
-    low, high = likelihood_ends(evidence, level)
-    about = {
-        "divergence": max(low.divergence, high.divergence),
-        "iterations": max(low.iterations, high.iterations),
-        "last_change": max(low.change, high.change),
-        "promised": max(low.promised, high.promised),
+    problem: Problem,
+    evidence: Evidence,
+    level: float,
+    factor: float,
+    margin: Margin | None,
+    facts: dict[str, Any],
+    seconds: float | None,
+) -> Interval:
+    """Compute the profile likelihood interval at a factor, with its two ends.
+
+    At a factor between 1 and infinity it holds the interval at 1 as well, and is within
+    that at infinity. So the value is inside, and a larger factor never gives a shorter
+    interval.
+    """
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    has_gaps = facts["unrecorded_pairs"] > 0
+    estimate = None
+    estimated: Array | None = None
+    if has_gaps or problem.dropped.any():
+        estimate, estimated = estimate_with_rows(problem, evidence.policy)
+    is_between = has_gaps and 1.0 < factor < np.inf
+    watch = _progress.Watch(seconds)
+    found: list[tuple[End, End]] = []
+    if is_between and estimated is not None:
+        near = evidence.near(estimated, factor)
+        found.append(likelihood_ends(near, level, watch.part(0.5)))
+    found.append(likelihood_ends(evidence, level, watch))
+    worst = found[-1][0].value, found[-1][1].value
+    sampling: tuple[float, float] | None = worst
+    if estimate is not None:
+        sampling = _interval_as_estimated(evidence, estimate, z, worst)
+        facts["sampling_method"] = "value ± quantile x standard error"
+    lower, upper = found[0][0].value, found[0][1].value
+    if is_between and sampling is not None:
+        lower = max(min(lower, sampling[0]), worst[0])
+        upper = min(max(upper, sampling[1]), worst[1])
+    if margin is not None:
+        lower, upper = margin.widen(lower, upper, z)
+        worst = margin.widen(*worst, z)
+    if factor == 1.0 and sampling is not None:
+        lower, upper = sampling
+    ends = [end for pair in found for end in pair]
+    facts |= {
+        "unrecorded_factor": factor,
+        "divergence": max(end.divergence for end in ends),
+        "iterations": max(end.iterations for end in ends),
+        "last_change": max(end.change for end in ends),
+        "promised": max(end.promised for end in ends),
     }
-    return low.value, high.value, about
+    if not all(end.is_final for end in ends):
+        facts["stopped_after"] = seconds
+    return Interval(
+        lower,
+        upper,
+        level,
+        "likelihood",
+        facts,
+        sampling=sampling,
+        worst_case=worst,
+    )
 
 
 def _robust_interval(
@@ -553,13 +645,12 @@ def _interval_under(
 
 
 def _interval_as_estimated(
-    problem: Problem, evidence: Evidence, z: float, quoted: tuple[float, float]
+    evidence: Evidence, estimate: Estimate, z: float, quoted: tuple[float, float]
 ) -> tuple[float, float] | None:
     """Return the default's value -+ a normal quantile times its standard error.
 
     Under a box it stays within the quoted ends. None without a standard error.
     """
-    estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None
     lower = estimate.value - z * estimate.standard_error

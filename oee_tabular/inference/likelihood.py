@@ -53,6 +53,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import gammaincinv
 
+from oee_tabular._progress import Watch
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, solvers, transition_gradient
 from oee_tabular.exact.reweighted import with_rows
@@ -110,7 +111,8 @@ class End(NamedTuple):
     ``rows`` are the probabilities of this model, ``divergence`` their sum of n KL (c
     where the set binds), and ``change`` the change of J in the last iteration.
     ``promised`` is the most that rows of the set have beyond the end to first order,
-    max G (P'' - P'); it is 0 at a stationary point.
+    max G (P'' - P'); it is 0 at a stationary point. ``is_final`` is False where time was
+    over before the end was found; it is then an inner bound.
     """
 
     value: float
@@ -119,6 +121,7 @@ class End(NamedTuple):
     iterations: int
     divergence: float
     change: float
+    is_final: bool
 
 
 class PolicyRows(NamedTuple):
@@ -210,12 +213,16 @@ class Ascent(NamedTuple):
     slope: Array
 
 
-def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
+def likelihood_ends(
+    evidence: Evidence, confidence: float, watch: Watch | None = None
+) -> tuple[End, End]:
     """Find the smallest and the largest value in the set.
 
     Ascents begin along the gradient at the frequencies, along r + gamma V of the
-    simulator, and along drawn directions.
+    simulator, and along drawn directions. They end when the ``watch`` says that time is
+    over, half of it for each end.
     """
+    watch = Watch(None) if watch is None else watch
     rows = PolicyRows.from_evidence(evidence)
     base = _begin(rows, rows.phat)
     own = _begin(rows, evidence.rows.weights[rows.entries])
@@ -224,8 +231,10 @@ def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
     drawn = _draw_directions(rows)
     ahead = rows.pay + rows.discount * own.values[rows.column]
     low, high = (
-        _find_end(rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign)
-        for sign in (-1.0, 1.0)
+        _find_end(
+            rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign, part
+        )
+        for sign, part in ((-1.0, watch.part(0.5)), (1.0, watch))
     )
     return low, high
 
@@ -236,20 +245,26 @@ def _find_end(
     base: Ascent,
     directions: list[Array],
     sign: float,
+    watch: Watch,
 ) -> End:
     """Find the farthest end of ascents from several directions."""
     is_large = len(rows.initial) > MAX_DENSE_STATES
     end = base
+    is_final = True
     for x in directions:
+        if watch.is_over:
+            is_final = False
+            break
         ascent = Ascent(*(part.copy() for part in base))
         ascent.x[:] = x
         ascent.numbers["sign"] = sign
-        _ascend(rows, ascent, SCOUT_TOLERANCE if is_large else END_TOLERANCE)
+        tolerance = SCOUT_TOLERANCE if is_large else END_TOLERANCE
+        is_final &= _ascend(rows, ascent, tolerance, watch)
         gain = sign * (ascent.numbers["value"] - end.numbers["value"])
         if end is base or gain > 0.0:
             end = ascent
-    if is_large:
-        _ascend(rows, end, END_TOLERANCE)
+    if is_large and end is not base:
+        is_final &= _ascend(rows, end, END_TOLERANCE, watch)
     _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
     end.trial[:] = end.p
     numbers = end.numbers[0]
@@ -278,6 +293,7 @@ def _find_end(
         int(numbers["iterations"]),
         float(numbers["divergence"]),
         change,
+        is_final,
     )
 
 
@@ -329,21 +345,25 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     return ascent
 
 
-def _ascend(rows: PolicyRows, ascent: Ascent, tolerance: float) -> None:
+def _ascend(rows: PolicyRows, ascent: Ascent, tolerance: float, watch: Watch) -> bool:
     """Run or continue an ascent, until iterations hardly move its end.
 
     ``tolerance`` is the share of the distance from the reference by which they may.
+    False is returned where time was over before that.
     """
     ascent.numbers["settled"] = tolerance
     ascent.numbers["quiet"] = 0.0
-    if not rows.is_sparse:
+    if len(rows.initial) <= MAX_DENSE_STATES:
         kernels.ascend(rows, ascent)
-        return
-    is_over = False
-    while not is_over:
+        return True
+    is_last = False
+    while not is_last:
+        if watch.is_over:
+            return False
         kernels.propose(rows, ascent)
         value = _fill_values(rows, ascent.trial, ascent, WARM_SOLVE_TOLERANCE)
-        is_over = kernels.accept(ascent, value)
+        is_last = kernels.accept(ascent, value)
+    return True
 
 
 def value_of_rows(rows: PolicyRows, p: Array) -> float:

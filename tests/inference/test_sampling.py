@@ -30,7 +30,7 @@ def test_pairs_never_recorded_are_as_the_default_estimates_them():
     simulator.
     """
     problem, policy = chain(0)
-    found = oee.interval(problem, policy, confidence=0.9)
+    found = oee.interval(problem, policy, confidence=0.9, unrecorded=np.inf)
     estimate = oee.estimators.OffEnvironment()(problem, policy)
     half = stats.norm.ppf(0.95) * estimate.standard_error
     assert_allclose(
@@ -48,7 +48,7 @@ def test_pairs_never_recorded_are_as_the_default_estimates_them():
         [0.9 * ends[0], 0.9 * ends[1] + 0.81 * (1 - ends[1])],
         rtol=1e-4,
     )
-    assert "from the recorded transitions alone" in found._repr_html_()
+    assert "if unrecorded pairs behave as estimated" in found._repr_html_()
 
 
 def test_where_all_is_recorded_both_are_one():

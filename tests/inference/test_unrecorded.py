@@ -1,0 +1,163 @@
+"""The factor by which unrecorded pairs may differ from the estimate: its two ends, what
+lies between, and what is refused.
+"""
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from numpy.testing import assert_allclose
+from scipy import stats
+
+import oee_tabular as oee
+
+FACTORS = (1.0, 1.2, 3.0, 20.0, np.inf)
+
+
+def fork(n_up, n_down, n_later=0, stay=0.5):
+    """From 0 to 1 (which pays 1) or 2; from 2 to 1 or to the end 3. Only 0 is recorded,
+    and 2 where ``n_later`` says so.
+    """
+    rows = np.array(
+        [
+            [[0, 0.5, 0.5, 0]],
+            [[0, 0, 0, 1.0]],
+            [[0, stay, 0, 1 - stay]],
+            [[0, 0, 0, 1.0]],
+        ]
+    )
+    simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0, 0.0]), 0, 0.9)
+    moves = [(0, 1)] * n_up + [(0, 2)] * n_down + [(2, 1), (2, 3)] * n_later
+    state, following = np.array(moves).T
+    log = oee.Transitions(state, np.zeros(len(state), int), following)
+    return oee.Problem(simulator, log), np.ones((4, 1))
+
+
+def estimated_row(problem):
+    """The probability that the estimate gives to 2 -> 1."""
+    zeta = oee.transition_ratio(
+        problem.log, problem.simulator, values_of=np.ones((4, 1))
+    )
+    return 0.5 * zeta.values[[2], [1]].item()
+
+
+@pytest.mark.parametrize("factor", [1.5, 3.0, 7.0])
+@pytest.mark.parametrize(("n_up", "n_down"), [(12, 8), (3, 9), (30, 2)])
+def test_an_interval_by_brute_force(factor, n_up, n_down):
+    """V(0) = .9 p + .81 (1 - p) q: the log bounds p, the factor q and 1 - q."""
+    problem, policy = fork(n_up, n_down)
+    n = n_up + n_down
+    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
+    share = n_up / n
+    kl = share * np.log(share / grid) + (1 - share) * np.log((1 - share) / (1 - grid))
+    inside = grid[n * kl <= stats.chi2.ppf(0.95, 1) / 2]
+    q = estimated_row(problem)
+    low = max(q / factor, 1 - factor * (1 - q))
+    high = min(factor * q, 1 - (1 - q) / factor)
+    ends = [
+        min(0.9 * p + 0.81 * (1 - p) * low for p in (inside.min(), inside.max())),
+        max(0.9 * p + 0.81 * (1 - p) * high for p in (inside.min(), inside.max())),
+    ]
+    found = oee.interval(problem, policy, unrecorded=factor)
+    # it holds the interval at 1, and is within that at infinity
+    lower = max(min(ends[0], found.sampling[0]), found.worst_case[0])
+    upper = min(max(ends[1], found.sampling[1]), found.worst_case[1])
+    assert_allclose([found.lower, found.upper], [lower, upper], rtol=1e-4)
+    assert found.diagnostics["unrecorded_factor"] == factor
+
+
+@settings(max_examples=15)
+@given(rngs)
+def test_a_larger_factor_never_gives_a_shorter_interval(rng):
+    simulator = random_mdp(rng)
+    policy = random_policy(rng, simulator)
+    target = random_mdp(rng, like=simulator)
+    share = rng.random((simulator.n_states, simulator.n_actions))
+    share[rng.random(share.shape) < 0.4] = 0.0
+    share.flat[0] += 0.1
+    log = oee.sample_transitions(target, share / share.sum(), 30, seed=rng)
+    horizon = None if rng.random() < 0.5 else 5
+    problem = oee.Problem(simulator, log, horizon=horizon)
+    found = [oee.interval(problem, policy, unrecorded=k) for k in FACTORS]
+    size = max(1.0, abs(found[-1].lower), abs(found[-1].upper))
+    for narrow, wide in zip(found[1:], found[2:], strict=False):
+        assert wide.lower <= narrow.lower + 1e-6 * size
+        assert narrow.upper <= wide.upper + 1e-6 * size
+    assert (found[0].lower, found[0].upper) == found[0].sampling
+    for one in found:
+        assert one.sampling == found[0].sampling
+        assert one.worst_case == (found[-1].lower, found[-1].upper)
+    value = oee.estimators.OffEnvironment()(problem, policy).value
+    lower, upper = found[-1].worst_case
+    assert found[2].lower <= np.clip(value, lower, upper) <= found[2].upper
+    plain = oee.interval(problem, policy)
+    assert (plain.lower, plain.upper) == (found[2].lower, found[2].upper)
+
+
+def test_where_all_is_recorded_the_factor_does_not_matter():
+    problem, policy = fork(12, 8, 5)
+    found = [oee.interval(problem, policy, unrecorded=k) for k in FACTORS]
+    assert len({(one.lower, one.upper, one.worst_case) for one in found}) == 1
+    assert found[0].worst_case == found[0].sampling == (found[0].lower, found[0].upper)
+
+
+def test_a_box_bounds_unrecorded_pairs_itself_unless_a_factor_is_given():
+    problem, policy = fork(12, 8)
+    box = {"lower_ratio": 0.5, "upper_ratio": 1.5}
+    plain = oee.interval(problem, policy, **box)
+    assert plain == oee.interval(problem, policy, unrecorded=np.inf, **box)
+    near = oee.interval(problem, policy, unrecorded=1.1, **box)
+    assert plain.lower <= near.lower < near.upper <= plain.upper
+    # an estimate that is outside of the box is moved into it
+    tight = {"lower_ratio": 0.999, "upper_ratio": 1.001}
+    narrow = oee.interval(problem, policy, unrecorded=2.0, **tight)
+    widest = oee.interval(problem, policy, **tight)
+    assert widest.lower <= narrow.lower <= narrow.upper <= widest.upper
+    for method in ("delta", "robust"):
+        other = oee.interval(problem, policy, method=method)
+        assert other.worst_case is None
+
+
+def test_the_simulator_s_support_stays():
+    """What the simulator gives a probability of .999 may not become three times it."""
+    problem, policy = fork(12, 8, stay=0.999)
+    found = oee.interval(problem, policy, unrecorded=3.0)
+    anything = oee.interval(problem, policy, unrecorded=np.inf)
+    assert found.upper <= anything.upper
+    assert found.lower > anything.lower + 0.1
+
+
+def test_a_search_that_was_stopped_gives_inner_bounds():
+    simulator = oee.tasks.gridworld(15, 0.3)
+    target = oee.tasks.gridworld(15, 0.1)
+    policy = oee.tasks.gridworld_policy(15, 0.5)
+    log = oee.sample_episodes(target, policy, 20, 40, seed=0)
+    problem = oee.Problem(simulator, log)
+    whole = oee.interval(problem, policy)
+    assert "stopped_after" not in whole.diagnostics
+    assert oee.interval(problem, policy, seconds=1e6) == whole
+    short = oee.interval(problem, policy, seconds=1e-9)
+    assert short.diagnostics["stopped_after"] == 1e-9
+    assert "inner bounds" in str(short)
+    assert "inner bounds" not in str(whole)
+    assert whole.lower <= short.lower <= short.upper <= whole.upper
+    assert short.worst_case[0] >= whole.worst_case[0]
+    assert short.worst_case[1] <= whole.worst_case[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"unrecorded": 0.99}, r"unrecorded must be in \[1, inf\]; it is 0.99"),
+        ({"unrecorded": -3}, r"unrecorded must be in \[1, inf\]; it is -3"),
+        ({"unrecorded": np.nan}, "unrecorded must be in"),
+        ({"unrecorded": "3x"}, "unrecorded must be a number; got '3x'"),
+        ({"seconds": 0}, "seconds must be in"),
+        ({"seconds": np.inf}, "seconds must be finite; it is inf"),
+        ({"seconds": "1"}, "seconds must be a number; got '1'"),
+    ],
+)
+def test_what_is_refused(given, message):
+    problem, policy = fork(12, 8)
+    with pytest.raises(ValueError, match=f"^{message}"):
+        oee.interval(problem, policy, **given)
