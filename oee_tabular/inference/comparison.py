@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
@@ -14,7 +14,8 @@ from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked, conform
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exceptions import ArgumentError
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 MIN_RECORDED_SHARE = 0.9
 # of the largest value: smaller differences are rounding
 EQUALITY_TOLERANCE = 1e-12
+# the least factor of maximum likelihood's standard errors that those of the default's
+# differences have
+MIN_ERROR_FACTOR = 0.8
 
 
 @checked()
@@ -70,7 +74,7 @@ class Decision:
     ... )
     >>> decision = comparison.decide()
     >>> decision.best, [round(x, 2) for x in decision.margin]
-    ('new', [3.26, 3.13, 3.39])
+    ('new', [3.26, 3.13, 3.38])
     """
 
     candidates: tuple[str, ...]
@@ -110,9 +114,10 @@ class Comparison:
     names : tuple of str
         The policies, best estimated value first.
     values : ndarray of shape (k,)
-        Their values in the maximum-likelihood model, discounted sums.
+        Their values by ``OffEnvironment()``, discounted sums.
     standard_errors : ndarray of shape (k,)
-        The standard errors of the values.
+        The standard errors of the values: those of maximum likelihood times
+        ``error_factor``.
     differences : ndarray of shape (k, k)
         The value of the row's policy minus that of the column's.
     lower : ndarray of shape (k, k)
@@ -130,6 +135,8 @@ class Comparison:
         left, that is in unrecorded stochastic pairs or in dropped transitions.
     confidence : float
         The level of each interval by itself, in (0, 1).
+    error_factor : float
+        The factor of maximum likelihood's standard errors, in [0.8, 1].
 
     See Also
     --------
@@ -160,6 +167,7 @@ class Comparison:
     covariance: Array
     unrecorded_share: Array
     confidence: float
+    error_factor: float = 1.0
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -436,12 +444,20 @@ def compare_policies(
 
     Notes
     -----
-    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), with G the gradient of J at the
-    maximum-likelihood model, and Cov_x under the frequencies with one simulated
+    Values are those of ``OffEnvironment()``, which vary less than those of the
+    maximum-likelihood model. Their covariance is that of maximum likelihood,
+
+        Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1),
+
+    times the square of ``error_factor``. G is the gradient of J at the
+    maximum-likelihood model, and Cov_x is under the frequencies with one simulated
     transition added, (n_x phat + P) / (n_x + 1) ("delta"). So an unrecorded pair is as
     uncertain as one transition would leave it, and a pair recorded once is not certain.
     With "bootstrap" the covariance is over common resamples of the transitions, with
-    unrecorded pairs as before.
+    unrecorded pairs as before. The factor is the largest ratio, over the policies, of
+    the standard error that the default has if its prior fits to its own standard error;
+    it is at least 0.8, and tends to 1 as the log grows. An interval also holds the
+    difference by maximum likelihood where the two are further apart than the noise.
 
     In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so no pair
     changes the mean of G by more than the root of that times its standard deviation
@@ -467,6 +483,38 @@ def compare_policies(
     recorded      6.9413        0.13     0.0%  -3.261 [-3.389, -3.134]
     values: discounted sum of rewards, not normalised; intervals at 95%
     """
+    return compare_estimates(
+        problem,
+        policies,
+        None,
+        method=method,
+        confidence=confidence,
+        lower_ratio=lower_ratio,
+        upper_ratio=upper_ratio,
+        n_draws=n_draws,
+        n_bootstrap=n_bootstrap,
+        seed=seed,
+    )
+
+
+def compare_estimates(
+    problem: Problem,
+    policies: PoliciesLike,
+    estimates: Mapping[str, Estimate] | None,
+    *,
+    method: Literal["delta", "bootstrap"] = "delta",
+    confidence: float = 0.95,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    n_draws: int = 10_000,
+    n_bootstrap: int = 400,
+    seed: Seed = 0,
+) -> Comparison:
+    """Compare policies whose estimates by the default are known, or None.
+
+    The arguments are those of ``compare_policies``. A report gives the estimates that
+    it shows, so that its differences are differences of these.
+    """
     _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
@@ -479,14 +527,21 @@ def compare_policies(
     evidences = [
         gather(problem, named[name], lower_ratio, upper_ratio) for name in names
     ]
-    values = np.array(
+    likely = np.array(
         [policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences]
     )
+    if estimates is None:
+        estimates = {
+            name: estimate_with_rows(problem, e.policy)[0]
+            for name, e in zip(names, evidences, strict=True)
+        }
+    values, factor = _center([estimates.get(name) for name in names], likely)
     recorded, never = value_covariances(evidences, prior=1.0)
     nu = lower_ratio or 0.0
     mu = np.inf if upper_ratio is None else upper_ratio
     # the most that a box leaves of the variance in unrecorded pairs
-    never = never * min(1.0, (1.0 - nu) * (mu - 1.0))
+    never = factor**2 * never * min(1.0, (1.0 - nu) * (mu - 1.0))
+    recorded = factor**2 * recorded
     generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never
@@ -494,14 +549,18 @@ def compare_policies(
         draws = values + normal @ _root(covariance).T
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        draws = _resample(problem, evidences, number, generator)
-        covariance = np.atleast_2d(np.cov(draws.T)) + never
+        resampled = _resample(problem, evidences, number, generator)
+        covariance = factor**2 * np.atleast_2d(np.cov(resampled.T)) + never
+        draws = values + factor * (resampled - likely)
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
     best = _probability_best(draws)
+    if method == "delta" and len(values) == 2:
+        best = _better_of_two(values, covariance)
     # of equals the one that was given first
     given = list(named)
     order = np.lexsort((np.array([given.index(name) for name in names]), -values))
     values = values[order]
+    likely = likely[order]
     covariance = covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
@@ -510,18 +569,59 @@ def compare_policies(
     down, up = np.array([_outside_changes(problem, evidences[i], z) for i in order]).T
     outside = (down[:, None] + up[None, :]) * (1.0 - np.eye(len(values)))
     difference = values[:, None] - values[None, :]
+    lower = difference - half
+    upper = difference + half
+    # what shrinkage alone tells apart is not known: policies that nearly do the same
+    # have no standard error of a difference, but may have different priors
+    plain = likely[:, None] - likely[None, :]
+    is_apart = np.abs(plain - difference) > half / factor
+    lower = np.where(is_apart, np.minimum(lower, plain), lower)
+    upper = np.where(is_apart, np.maximum(upper, plain), upper)
     return Comparison(
         tuple(names[i] for i in order),
         values,
         np.sqrt(variance),
         difference,
-        difference - half - outside,
-        difference + half + outside.T,
+        lower - outside,
+        upper + outside.T,
         best[order],
         covariance,
         np.array([_unrecorded_share(problem, evidences[i]) for i in order]),
         level,
+        factor,
     )
+
+
+def _center(estimates: Sequence[Estimate | None], likely: Array) -> tuple[Array, float]:
+    """Return the values of policies, and the factor of their standard errors.
+
+    ``likely`` are the values in the maximum-likelihood model, which stand in for an
+    estimate without a value. Policies with equal values there are equal.
+
+    The default varies less than maximum likelihood, since it borrows strength. Its
+    standard deviation is between that of a fit whose centre is right and that of
+    maximum likelihood; the factor is the largest ratio of these two errors, at least
+    ``MIN_ERROR_FACTOR``. It tends to 1 as the log grows.
+    """
+    values = likely.copy()
+    ratios = [MIN_ERROR_FACTOR]
+    for k, estimate in enumerate(estimates):
+        if estimate is None or not math.isfinite(estimate.value):
+            ratios.append(1.0)
+            continue
+        values[k] = estimate.value
+        narrow = estimate.diagnostics.get("standard_error_if_centre_fits")
+        error = estimate.standard_error
+        if narrow is None or error is None or not error > 0.0:
+            ratios.append(1.0)
+        else:
+            ratios.append(float(narrow) / error)
+    scale = np.abs(likely).max()
+    for k in range(len(values)):
+        is_equal = np.abs(likely[:k] - likely[k]) <= EQUALITY_TOLERANCE * scale
+        if is_equal.any():
+            values[k] = values[np.flatnonzero(is_equal)[0]]
+    return values, min(max(ratios), 1.0)
 
 
 def _resample(
@@ -549,6 +649,22 @@ def _probability_best(draws: Array) -> Array:
     is_top = draws >= draws.max(axis=1, keepdims=True) - tolerance
     shares = is_top / is_top.sum(axis=1, keepdims=True)
     return np.asarray(np.sum(shares, axis=0) / len(draws))
+
+
+def _better_of_two(values: Array, covariance: Array) -> Array:
+    """Return the probability (2,) that each of two policies is the better one.
+
+    It needs no draws; equal policies share it.
+    """
+    difference = float(values[0] - values[1])
+    spread = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
+    size = max(covariance[0, 0], covariance[1, 1])
+    if abs(difference) <= EQUALITY_TOLERANCE * np.abs(values).max():
+        return np.full(2, 0.5)
+    if not spread > EQUALITY_TOLERANCE * size:  # rounding of equal variances
+        return np.array([float(difference > 0.0), float(difference < 0.0)])
+    first = NormalDist().cdf(difference / math.sqrt(spread))
+    return np.array([first, 1.0 - first])
 
 
 def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
