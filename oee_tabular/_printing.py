@@ -73,7 +73,7 @@ def _has(encoding: str, text: str) -> bool:
 def spec(lower: float, upper: float) -> str:
     """Choose the format of an interval's ends, and of the value between them.
 
-    It has at least four significant digits, and shows at least two digits of the width.
+    It shows two digits of the width, and never fewer than the units.
 
     Examples
     --------
@@ -88,7 +88,9 @@ def spec(lower: float, upper: float) -> str:
     first = math.floor(math.log10(largest))
     last = first - 3
     if width > 0.0:
-        last = min(last, math.floor(math.log10(width)) - 1)
+        last = math.floor(math.log10(width)) - 1
+        if first < 7:  # written without an exponent
+            last = min(last, 0)
     last = max(last, first - 14)
     return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
 

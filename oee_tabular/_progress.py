@@ -36,10 +36,16 @@ class Watch:
         """Return whether the time is over."""
         return time.monotonic() >= self.end
 
+    @property
+    def left(self) -> float | None:
+        """Return the seconds that are left; None without a limit."""
+        if math.isinf(self.end):
+            return None
+        return max(self.end - time.monotonic(), 1e-9)
+
     def part(self, share: float) -> Watch:
         """Return a watch for a share of the time that is left."""
-        left = self.end - time.monotonic()
-        return Watch(None if math.isinf(left) else share * left)
+        return Watch(None if self.left is None else share * self.left)
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:

@@ -14,7 +14,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import conform
-from oee_tabular.estimators import Estimate, Estimator, Problem
+from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import (
     FEW_WEIGHTED,
     MADE_FROM_LOG,
@@ -27,12 +27,14 @@ from oee_tabular.estimators.names import (
     default_names,
     named_estimators,
 )
+from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
 from oee_tabular.exact.values import largest_reward
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
+from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
@@ -89,6 +91,8 @@ def evaluate(
     upper_ratio: float | None = None,
     tie: TieLike | None = None,
     features: FeaturesLike | None = None,
+    unrecorded: float | None = None,
+    interval_seconds: float | None = None,
 ) -> Report:
     """Evaluate policies in the target environment, from a simulator and a log.
 
@@ -156,6 +160,15 @@ def evaluate(
         estimator, ``"oee-features"``, whose interval rests on this assumption. ``tie``
         must be None.
 
+    unrecorded : float, optional
+        The factor, at least 1, by which the probabilities of pairs that were never
+        recorded may differ from the estimated ones in likelihood intervals; as in
+        ``inference.interval``. None is 3 (without a box).
+    interval_seconds : float, optional
+        The time, above 0, in which the likelihood intervals of all policies are
+        searched for. The ends found so far are then inner bounds, and the report says
+        so. None sets no limit.
+
     Returns
     -------
     Report
@@ -220,7 +233,9 @@ def evaluate(
     named = check_policies(policies, simulator, name="policy")
     if not named:
         raise ArgumentError("policies", "must hold at least one; it is empty")
-    known = Premises(lower_ratio, upper_ratio, tie, features)
+    known = Premises(lower_ratio, upper_ratio, tie, features, unrecorded)
+    check_factor(unrecorded, has_box=known.has_box)
+    seconds = check_seconds(interval_seconds, "interval_seconds")
     if quick and known.has_box:
         raise ArgumentError(
             "quick",
@@ -243,15 +258,24 @@ def evaluate(
             left_out += reasons
             hidden = _pairs_with_few_weights(results)
         uncertainty = find_intervals(
-            problem, named, level, known, guaranteed=guaranteed, quick=quick
+            problem,
+            named,
+            level,
+            known,
+            guaranteed=guaranteed,
+            quick=quick,
+            seconds=seconds,
         )
         size = largest_reward(problem.model)
         results = _choose_intervals(results, uncertainty, known, level, scale, size)
         front = {
             name: result.estimate for name, result in first_results(results).items()
         }
+        default = _default_estimates(
+            problem, named, results, chosen, uncertainty, level, scale, size
+        )
         uncertainty = add_comparison(
-            uncertainty, problem, named, level, known, front, scale
+            uncertainty, problem, named, level, known, front, default, scale
         )
     effect = ""
     if problem.reward_conflict is not None:
@@ -299,6 +323,8 @@ def contest(
     upper_ratio: float | None = None,
     tie: TieLike | None = None,
     features: FeaturesLike | None = None,
+    unrecorded: float | None = None,
+    interval_seconds: float | None = None,
 ) -> Report:
     """Compare two or more policies on one log by off-environment evaluation alone.
 
@@ -332,6 +358,11 @@ def contest(
         A key for each transition, as in ``evaluate``.
     features : array, data frame or function, optional
         Features of each transition, as in ``evaluate``.
+
+    unrecorded : float, optional
+        The factor of pairs that were never recorded, as in ``evaluate``.
+    interval_seconds : float, optional
+        The time for likelihood intervals, as in ``evaluate``.
 
     Returns
     -------
@@ -384,6 +415,8 @@ def contest(
         upper_ratio=upper_ratio,
         tie=tie,
         features=features,
+        unrecorded=unrecorded,
+        interval_seconds=interval_seconds,
     )
 
 
@@ -550,6 +583,35 @@ def _choose_intervals(
         estimate = choose_interval(result.estimate, likelihood, level, scale, size=size)
         chosen.append(replace(result, estimate=estimate))
     return chosen
+
+
+def _default_estimates(
+    problem: Problem,
+    policies: Mapping[str, Array],
+    results: Sequence[Result],
+    chosen: Mapping[str, EstimatorLike],
+    uncertainty: Uncertainty,
+    level: float,
+    scale: float,
+    size: float,
+) -> dict[str, Estimate]:
+    """Return the default's estimate of each policy, with its interval.
+
+    It is that of the table where the table has it.
+    """
+    default = OffEnvironment()
+    labels = {label for label, estimator in chosen.items() if estimator == default}
+    known = {
+        result.policy: result.estimate
+        for result in results
+        if result.estimator in labels
+    }
+    for name, policy in policies.items():
+        if name not in known:
+            estimate, _ = estimate_with_rows(problem, policy)
+            likelihood = uncertainty.intervals.get(name, {}).get(LIKELIHOOD)
+            known[name] = choose_interval(estimate, likelihood, level, scale, size=size)
+    return known
 
 
 def _collect_warnings(

@@ -441,10 +441,14 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
     }
     quoted = intervals.get(LIKELIHOOD)
     ends_quoted = None if quoted is None else (quoted.lower, quoted.upper)
-    sampling = None if quoted is None else quoted.sampling
-    # where every pair is recorded, the two intervals are the same
-    if sampling is not None and sampling != ends_quoted:
-        alone["sampling"] = sampling
+    # where every pair is recorded, all are the same interval
+    if quoted is not None:
+        for name, ends in (
+            ("sampling", quoted.sampling),
+            ("worst case", quoted.worst_case),
+        ):
+            if ends is not None and ends != ends_quoted:
+                alone[name] = ends
     for method, ends in alone.items():
         name = "guaranteed" if method == GUARANTEED else method
         lower, upper = (None if math.isnan(end) else end * report.scale for end in ends)

@@ -21,7 +21,7 @@ from oee_tabular.plots.style import draw_or_warn
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain, write_report
 from oee_tabular.report.text import Answer
-from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending_key
+from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty
 from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
@@ -38,6 +38,11 @@ VALUES = {
     "upper",
     "sampling_lower",
     "sampling_upper",
+    "worst_case_lower",
+    "worst_case_upper",
+    "less_by",
+    "less_by_lower",
+    "less_by_upper",
     "true_value",
     "error",
 }
@@ -219,6 +224,9 @@ class Report:
             unrecorded = 0
             if likelihood is not None:
                 unrecorded = int(likelihood.diagnostics.get("unrecorded_pairs", 0))
+            assumption = ""
+            if row["interval_method"] == LIKELIHOOD:
+                assumption = self.uncertainty.assumptions.get(policy, "")
             answers.append(
                 Answer(
                     policy,
@@ -232,6 +240,7 @@ class Report:
                     row["true_value"],
                     row.get("coverage"),
                     unrecorded,
+                    assumption,
                     first.estimate.is_from_log,
                 )
             )
@@ -305,7 +314,8 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if len(self.answers) == 1 or not answers or not self.uncertainty.ranking:
             return self.headline
-        ordered = sorted(answers, key=lambda answer: descending_key(answer.value))
+        place = list(self._ordered_policies).index
+        ordered = sorted(answers, key=lambda answer: place(answer.policy))
         values = [text.policy_worth(answer, self.confidence) for answer in ordered]
         return " ".join([self.headline, *values])
 
@@ -336,7 +346,7 @@ class Report:
             "standard_error": estimate.standard_error,
             "lower": lower,
             "upper": upper,
-            **sampling_columns(likelihood),
+            **end_columns(likelihood),
             "interval_method": None if lower is None else method,
             "true_value": truth,
             "error": None if truth is None else estimate.value - truth,
@@ -367,9 +377,11 @@ class Report:
           None.
         - ``lower``, ``upper``: ends of the quoted interval, in the report's unit, or
           None.
-        - ``sampling_lower``, ``sampling_upper``: ends of the interval from the recorded
-          transitions alone, in the report's unit; None beside other than likelihood
-          intervals.
+        - ``sampling_lower``, ``sampling_upper``: ends of the interval if unrecorded
+          pairs behave as estimated, in the report's unit; None beside other than
+          likelihood intervals.
+        - ``worst_case_lower``, ``worst_case_upper``: ends of the interval if unrecorded
+          pairs may do anything, likewise.
         - ``interval_method``: name of the interval, or None.
         - ``true_value``: exact value in the target, in the report's unit, where it is
           known.
@@ -404,10 +416,13 @@ class Report:
             values and differences in the report's unit:
 
             - ``policy``: name of the policy.
-            - ``value``: the value that stands first in the report.
+            - ``value``: the value by the default, ``OffEnvironment()``, on which the
+              comparison rests.
             - ``lower``, ``upper``: ends of its interval, or None.
-            - ``sampling_lower``, ``sampling_upper``: ends of the interval from the
-              recorded transitions alone, or None.
+            - ``sampling_lower``, ``sampling_upper``: ends of the interval if unrecorded
+              pairs behave as estimated, or None.
+            - ``worst_case_lower``, ``worst_case_upper``: ends of the interval if
+              unrecorded pairs may do anything, or None.
             - ``probability_best``: P(best) in [0, 1]; None where the log cannot say.
             - ``unrecorded_share``: share in [0, 1] of the policy's discounted time in
               unrecorded pairs.
@@ -425,33 +440,41 @@ class Report:
         decision = self.uncertainty.decision
         if compared is None or decision is None:
             return []
-        table = []
         known = self.uncertainty.likelihood
-        rows = [self._record(result) for result in first_results(self.results).values()]
-        rows.sort(key=lambda row: descending_key(row["value"]))
-        best = rows[0]
-        for row in rows:
-            policy = row["policy"]
-            less = best["value"] - row["value"]
-            lower, upper = (
-                self.scale * end
-                for end in compared.bounds(best["policy"], policy, known)
-            )
-            has_ends = row is not best and math.isfinite(lower)
-            table.append(
-                {key: row[key] for key in ("policy", "value", "lower", "upper")}
-                | self._in_unit(sampling_columns(known.get(policy)))
-                | {
-                    "probability_best": decision.probability_best[policy],
-                    "unrecorded_share": float(
-                        compared.unrecorded_share[compared.names.index(policy)]
-                    ),
-                    "less_by": None if row is best else less,
-                    "less_by_lower": min(lower, less) if has_ends else None,
-                    "less_by_upper": max(upper, less) if has_ends else None,
-                }
-            )
+        best = compared.names[0]
+        table = []
+        for k, policy in enumerate(compared.names):
+            estimate = self.uncertainty.default.get(policy)
+            lower, upper = (estimate and estimate.interval) or (None, None)
+            row: dict[str, Any] = {
+                "policy": policy,
+                "value": float(compared.values[k]),
+                "lower": lower,
+                "upper": upper,
+                **end_columns(known.get(policy)),
+                "probability_best": decision.probability_best[policy],
+                "unrecorded_share": float(compared.unrecorded_share[k]),
+                "less_by": None,
+                "less_by_lower": None,
+                "less_by_upper": None,
+            }
+            if k > 0:
+                less = float(compared.differences[0, k])
+                ends = compared.bounds(best, policy, known)
+                row["less_by"] = less
+                if math.isfinite(ends[0]):
+                    row["less_by_lower"] = min(ends[0], less)
+                    row["less_by_upper"] = max(ends[1], less)
+            table.append(self._in_unit(row))
         return table
+
+    @property
+    def _ordered_policies(self) -> tuple[str, ...]:
+        """Return the names of the policies, best first where they are compared."""
+        compared = self.uncertainty.comparison
+        if compared is not None:
+            return compared.names
+        return tuple(first_results(self.results))
 
     @property
     def best(self) -> str | None:
@@ -713,18 +736,25 @@ def interval_columns(interval: Interval) -> dict[str, Any]:
     return {
         "lower": interval.lower,
         "upper": interval.upper,
-        **sampling_columns(interval),
+        **end_columns(interval),
         "confidence": interval.confidence,
         "status": interval.status,
     }
 
 
-def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
-    """Return the ends of the interval from the recorded transitions alone, as columns.
+def end_columns(interval: Interval | None) -> dict[str, float | None]:
+    """Return the intervals at both ends of the factor of unrecorded pairs, as columns.
 
     They are None where there is no such interval.
     """
-    if interval is None or interval.sampling is None:
-        return {"sampling_lower": None, "sampling_upper": None}
-    lower, upper = interval.sampling
-    return {"sampling_lower": lower, "sampling_upper": upper}
+    sampling: tuple[float | None, float | None] = (None, None)
+    anything: tuple[float | None, float | None] = (None, None)
+    if interval is not None:
+        sampling = interval.sampling or sampling
+        anything = interval.worst_case or anything
+    return {
+        "sampling_lower": sampling[0],
+        "sampling_upper": sampling[1],
+        "worst_case_lower": anything[0],
+        "worst_case_upper": anything[1],
+    }

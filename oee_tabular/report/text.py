@@ -17,7 +17,11 @@ from oee_tabular import _printing
 # know that first
 MIN_COVERAGE = 0.5
 METHODS: Mapping[str, str] = {  # kinds of intervals
-    "likelihood": "every value that the log does not reject at this confidence.",
+    "likelihood": (
+        "every value that the log does not reject, if state-action pairs that were never"
+        " recorded differ from the estimate by at most a factor (unrecorded=,"
+        " --unrecorded)."
+    ),
     "likelihood under the tie": (
         "every value of the model with this tie that the log does not reject."
     ),
@@ -49,6 +53,10 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     "sampling": (
         "value ± normal quantile × standard error. Unrecorded state-action pairs behave"
         " as estimated."
+    ),
+    "worst case": (
+        "every value that the log does not reject, if unrecorded state-action pairs may"
+        " do anything that the simulator allows."
     ),
 }
 COLUMNS: Mapping[str, str] = {  # of the page's tables
@@ -87,6 +95,8 @@ NO_P_BEST = (
     " uncertainty decides the ranking."
 )
 INTERVAL_AT_ANY_SIZE = "The interval that is guaranteed at any sample size is {}."
+DROPPED = "The interval lets dropped transitions lead anywhere."
+BY_DEFAULT = "By off-environment evaluation (oee): "
 NEEDS_HORIZON = (
     "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 )
@@ -121,6 +131,9 @@ class Answer:
         1]; None where it was not measured.
     unrecorded : int
         The number of reachable state-action pairs that were never recorded.
+    assumption : str
+        A sentence on the pairs that were never recorded: what the interval lets them
+        do, and its two ends; "" where they hardly matter.
     is_from_log : bool
         Whether the value uses the log. False for what the simulator alone says.
     """
@@ -136,6 +149,7 @@ class Answer:
     truth: float | None
     coverage: float | None
     unrecorded: int
+    assumption: str
     is_from_log: bool
 
     @property
@@ -219,7 +233,7 @@ def policy_worth(answer: Answer, confidence: float) -> str:
             )
     if answer.truth is not None:
         sentence += f". The exact value, known here, is {format_number(answer.truth)}"
-    return f"{sentence}."
+    return " ".join(filter(None, (f"{sentence}.", answer.assumption)))
 
 
 def silent_log(answers: Sequence[Answer]) -> str:
@@ -290,57 +304,131 @@ def reward_change(effects: Mapping[str, float]) -> str:
     return f" In the simulator they change the {whose} by {most}{largest:.2g}."
 
 
-def pair_rejections(rejected: int, tested: int) -> str:
-    """Say in how many pairs the data reject the simulator."""
-    rest = ""
-    if rejected < tested:
-        rest = " In the others the log shows no significant difference."
+def test_of_simulator(
+    z: float, rejected: int, tested: int, *, is_rejected: bool
+) -> str:
+    """Say whether the log rejects the simulator: as a whole, then pair by pair.
+
+    ``z`` is the score of all transitions together in standard deviations, ``rejected``
+    the number of the ``tested`` pairs that reject the simulator by themselves, and
+    ``is_rejected`` whether all together do.
+    """
+    pairs = f"{tested:,} recorded state-action pairs"
+    if tested == 1:
+        pairs = "one recorded state-action pair"
+    if not is_rejected and not rejected:
+        return (
+            "The data show no significant difference from the simulator in the"
+            f" {pairs}, neither together (z = {z:.1f}) nor one by one. A short log"
+            " cannot show a small one."
+        )
+    if not is_rejected:
+        verb = "does" if rejected == 1 else "do"
+        return (
+            "Together the recorded transitions do not reject the simulator"
+            f" (z = {z:.1f}); by themselves, {rejected:,} of the {pairs} {verb}."
+        )
+    sign = "less" if z < 0 else "more"
+    whole = (
+        f"Together the recorded transitions reject the simulator (z = {z:.1f}: what it"
+        f" calls likely happens {sign} often than it says)."
+    )
+    if not rejected:
+        return f"{whole} By itself, none of the {pairs} does."
+    if rejected == tested:
+        each = "each" if tested > 1 else "the one"
+        return f"{whole} By itself, {each} of the {pairs} does as well."
+    verb = "rejects" if rejected == 1 else "reject"
+    return f"{whole} By themselves, {rejected:,} of the {pairs} {verb} it."
+
+
+def distance_from_simulator(
+    whole: float, rejecting: float, recorded: float, unrecorded: float
+) -> str:
+    """Say in which pairs a corrected value differs from the simulator's.
+
+    ``whole`` is the difference; the others are its parts in the pairs that reject the
+    simulator one by one, in other recorded pairs, and in pairs never recorded.
+    """
+    width = max(abs(whole), abs(rejecting), abs(recorded), abs(unrecorded))
+
+    def write(part: float) -> str:
+        """Write a part with two digits of the largest."""
+        return format_value(part, 0.0, width) if part else "0"
+
+    parts = [
+        (rejecting, "comes from pairs that reject the simulator one by one"),
+        (recorded, "from other recorded pairs"),
+        (unrecorded, "from pairs that were never recorded"),
+    ]
+    told = ", ".join(f"{write(part)} {where}" for part, where in parts)
     return (
-        f"The data reject the simulator in {rejected} of the {tested} recorded"
-        f" state-action pairs.{rest}"
+        f"The corrected simulator's value differs from the simulator's by {write(whole)}:"
+        f" {told}."
     )
 
 
-def joint_rejection(z: float) -> str:
-    """Say that the data reject the simulator, though in no single pair."""
+def assumption(
+    factor: float,
+    unrecorded: int,
+    share: float | None,
+    as_estimated: tuple[float, float] | None,
+    anything: tuple[float, float] | None,
+    *,
+    has_box: bool = False,
+) -> str:
+    """Say what an interval lets the pairs do that were never recorded.
+
+    ``factor`` is that of ``interval``. ``as_estimated`` and ``anything`` are the
+    intervals at its two ends, where they are to be told. ``has_box`` says that the user
+    bounded all ratios.
+    """
+    pairs = "the pair that was never recorded"
+    if unrecorded > 1:
+        pairs = f"the {unrecorded:,} pairs that were never recorded"
+    of_time = ""
+    if share is not None:
+        of_time = f", {_printing.share(share)} of the policy's time,"
+    if factor == 1.0:
+        rule = f"The interval takes {pairs}{of_time} as estimated"
+    elif math.isinf(factor):
+        rule = f"The interval lets {pairs}{of_time} do anything"
+        if has_box:
+            rule += " that the box allows"
+    else:
+        rule = (
+            f"The interval lets {pairs}{of_time} differ from the estimate by a factor of"
+            f" {write_factor(factor)}"
+        )
+    ends = []
+    if as_estimated is not None:
+        ends.append(f"if they behave as estimated: {format_interval(*as_estimated)}")
+    if anything is not None:
+        ends.append(f"if they may do anything: {format_interval(*anything)}")
+    return f"{'; '.join([rule, *ends])}."
+
+
+def write_factor(factor: float) -> str:
+    """Write a small whole number as a word."""
+    words = {2.0: "two", 3.0: "three", 4.0: "four", 5.0: "five", 10.0: "ten"}
+    return words.get(factor, f"{factor:g}")
+
+
+def without_dropped(lower: float, upper: float) -> str:
+    """Say what the interval would be without dropped transitions."""
     return (
-        f"The data as a whole reject the simulator (z = {z:.1f}), although no single"
-        " state-action pair does. Transitions that the simulator calls likely are"
-        f" {'more' if z > 0 else 'less'} frequent in the target."
+        "The interval lets dropped transitions lead anywhere; without them it is"
+        f" {format_interval(lower, upper)}."
     )
 
 
-def agreement(tested: int) -> str:
-    """Say that the data agree with the simulator."""
-    pairs = "the one recorded state-action pair"
-    if tested > 1:
-        pairs = f"the {tested} recorded state-action pairs"
+def stopped(seconds: float) -> str:
+    """Say that the ends of an interval are inner bounds."""
     return (
-        f"The data show no significant difference from the simulator in {pairs}. A"
-        " short log cannot show a small one."
+        f"The search for the ends of the interval was stopped after {seconds:.3g} s"
+        " (interval_seconds=, --interval-seconds): they are inner bounds, and the"
+        " interval is at least as wide."
     )
-
-
-def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
-    """Say what the quoted interval allows in unrecorded pairs; "" without any."""
-    sentences = []
-    if unrecorded:
-        pairs = f"{unrecorded} unrecorded pair{'s' if unrecorded > 1 else ''}"
-        of_time = ""
-        if share is not None:
-            of_time = f" ({_printing.share(share)} of the policy's time)"
-        sentences.append(f"The interval allows any outcome in {pairs}{of_time}.")
-    if dropped:
-        sentences.append("It lets dropped transitions lead anywhere.")
-    return " ".join(sentences)
-
-
-def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
-    """Say which interval sampling noise alone leaves."""
-    condition = "Without these transitions"
-    if unrecorded:
-        condition = "If such pairs behave as estimated"
-    return f"{condition}, the interval is {format_interval(lower, upper)}."
 
 
 # the table

@@ -17,21 +17,22 @@ from oee_tabular._results import checked
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
+from oee_tabular.estimators.off_environment import estimate_with_rows
+from oee_tabular.exact import occupancy, state_values
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,
     Decision,
     Interval,
-    compare_policies,
     interval,
 )
-from oee_tabular.inference.comparison import MIN_RECORDED_SHARE
+from oee_tabular.inference.comparison import MIN_RECORDED_SHARE, compare_estimates
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, BoolArray
 
 # reachable transitions, beyond which likelihood intervals take many minutes and are
 # left out
@@ -41,9 +42,9 @@ MAX_TRANSITIONS = 10_000_000
 MIN_Z = 3.0
 # the share of all pairs' tests that may reject a correct simulator
 TEST_LEVEL = 0.05
-# width of the quoted interval, over the width from recorded transitions alone, from
-# which on the report explains both
-MIN_WIDTH_RATIO_TO_EXPLAIN = 1.5
+# the share of a policy's time in unrecorded pairs up to which a report does not say what
+# its interval lets them do
+MAX_SHARE_UNTOLD = 0.01
 # of the value: a smaller standard error is rounding
 ERROR_TOLERANCE = 1e-12
 # of the ends, which are found by iteration: a value so close to an end is inside
@@ -72,13 +73,14 @@ class Premises:
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
     which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
     ``transition_ratio``) add an estimator with the interval of its own model
-    (``inference.likelihood``).
+    (``inference.likelihood``). ``unrecorded`` is the factor of ``interval``.
     """
 
     lower_ratio: float | None = None
     upper_ratio: float | None = None
     tie: TieLike | None = None
     features: FeaturesLike | None = None
+    unrecorded: float | None = None
 
     def __post_init__(self) -> None:
         if self.tie is not None and self.features is not None:
@@ -119,13 +121,27 @@ class Premises:
         return {}
 
     def intervals(
-        self, problem: Problem, policy: Array, level: float, *, guaranteed: bool
+        self,
+        problem: Problem,
+        policy: Array,
+        level: float,
+        *,
+        guaranteed: bool,
+        seconds: float | None,
     ) -> dict[str, Interval]:
         """Compute the intervals of a policy, by their keys.
 
-        Raises ValueError, naming the pairs, where the log contradicts the box.
+        Raises ValueError, naming the pairs, where the log contradicts the box. The
+        search for a likelihood interval ends after ``seconds``.
         """
-        likelihood = interval(problem, policy, confidence=level, **self.box)
+        likelihood = interval(
+            problem,
+            policy,
+            confidence=level,
+            unrecorded=self.unrecorded,
+            seconds=seconds,
+            **self.box,
+        )
         if self.has_box and likelihood.status != "ok":
             raise ValueError(
                 f"lower_ratio and upper_ratio must fit the log: {likelihood.status}"
@@ -167,6 +183,11 @@ class Uncertainty:
         The sentence on what to record next.
     caveat : str
         A warning before any value; "" where there is none.
+    assumptions : dict of str to str
+        For each policy that spends more than 1% of its time in pairs that were never
+        recorded, what its interval lets them do.
+    default : dict of str to Estimate
+        The default's estimate of each policy, on which the comparison rests.
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -177,6 +198,8 @@ class Uncertainty:
     ranking: str = ""
     next: str = ""
     caveat: str = ""
+    assumptions: Mapping[str, str] = field(default_factory=dict)
+    default: Mapping[str, Estimate] = field(default_factory=dict)
 
     @property
     def likelihood(self) -> dict[str, Interval]:
@@ -222,10 +245,12 @@ def find_intervals(
     *,
     guaranteed: bool,
     quick: bool,
+    seconds: float | None = None,
 ) -> Uncertainty:
     """Test the simulator against the log, and compute the intervals of every policy.
 
-    Where there are no intervals, a sentence says why.
+    Where there are no intervals, a sentence says why. ``seconds`` is a limit of the
+    time in which the intervals of all policies are searched for.
     """
     if problem.soft:
         if guaranteed:
@@ -236,18 +261,25 @@ def find_intervals(
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
     lacking = _reason_without_intervals(problem, evidence, quick=quick)
-    distance = (_test_simulator(evidence),)
+    distance = (_test_simulator(evidence)[0],)
     del evidence  # as much memory as the simulator
     if lacking:
         if guaranteed:
             raise ArgumentError("guaranteed", f"must be False here: {lacking}")
         return Uncertainty(distance=(*distance, text.MISSING_INTERVALS.format(lacking)))
     intervals = {}
+    watch = _progress.Watch(seconds)
     for i, (name, policy) in enumerate(policies.items()):
         _progress.report_step(
             f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})"
         )
-        intervals[name] = known.intervals(problem, policy, level, guaranteed=guaranteed)
+        intervals[name] = known.intervals(
+            problem,
+            policy,
+            level,
+            guaranteed=guaranteed,
+            seconds=watch.part(1.0 / (len(policies) - i)).left,
+        )
     return Uncertainty(intervals, distance)
 
 
@@ -268,30 +300,72 @@ def _reason_without_intervals(
     return ""
 
 
-def _test_simulator(evidence: Evidence) -> str:
-    """Test the simulator against the log, pair by pair and as a whole.
+def _test_simulator(evidence: Evidence) -> tuple[str, BoolArray]:
+    """Test the simulator against the log, as a whole and pair by pair.
 
     The pairs' tests are KL balls that hold at any number of transitions, and share 5%.
     The test of all transitions together is the score test of the tilt along log P: sum
-    (n - n_sa P) log P over its standard deviation under P.
+    (n - n_sa P) log P over its standard deviation under P. The sentence and the pairs
+    (S*A,) that reject the simulator by themselves are returned.
     """
     tested = (evidence.n > 0) & evidence.is_stochastic
+    is_rejecting = np.zeros(len(tested), dtype=np.bool_)
     n_tested = int(tested.sum())
     if n_tested == 0:
-        return text.NOT_TESTED
+        return text.NOT_TESTED, is_rejecting
     rows = evidence.rows.select(tested)
     n = evidence.n[tested]
     phat = evidence.phat[rows.entries]
     kl = rows.sums(special.rel_entr(phat, rows.weights))
     radius = independent_radius(n, np.diff(rows.indptr), TEST_LEVEL / n_tested)
-    rejected = int((kl > radius).sum())
-    if rejected:
-        return text.pair_rejections(rejected, n_tested)
+    is_rejecting[rows.number] = kl > radius
     phi = rows.center(np.log(rows.weights))
     score = float(np.sum(rows.spread(n) * (phat - rows.weights) * phi))
     spread = float(np.sum(rows.spread(n) * rows.weights * phi**2))
     z = score / np.sqrt(spread) if spread > 0 else 0.0
-    return text.agreement(n_tested) if abs(z) < MIN_Z else text.joint_rejection(z)
+    sentence = text.test_of_simulator(
+        z, int(is_rejecting.sum()), n_tested, is_rejected=abs(z) >= MIN_Z
+    )
+    return sentence, is_rejecting
+
+
+def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
+    """Say in which pairs the corrected simulator's value differs from the simulator's.
+
+        J(Q) - J(P) = sum_sa d(s, a) sum_s' (Q - P)(s' | s, a) (r + gamma V(s')),
+
+    with d the discounted time in the simulator P, and V the values in the corrected
+    simulator Q = zeta P: exact, without a horizon. "" with a horizon, at discount 1,
+    and where no pair rejects the simulator by itself, or all of the difference is
+    rounding.
+    """
+    if problem.horizon is not None or problem.simulator.discount == 1.0:
+        return ""
+    evidence = gather(problem, policy)
+    _, is_rejecting = _test_simulator(evidence)
+    if not is_rejecting.any():
+        return ""
+    _, corrected = estimate_with_rows(problem, policy)
+    rows = evidence.rows
+    values = state_values(evidence.with_rows(corrected), policy)
+    time = occupancy(problem.model, policy).reshape(-1)
+    time = time / (1.0 - problem.simulator.discount)
+    ahead = (
+        evidence.transition_rewards + problem.simulator.discount * values[rows.arrival]
+    )
+    change = time * rows.sums((corrected - rows.weights) * ahead)
+    whole = float(change.sum())
+    if not abs(whole) > ERROR_TOLERANCE * max(
+        abs(float(values @ problem.model.initial)), 1e-300
+    ):
+        return ""
+    is_recorded = evidence.n > 0
+    return text.distance_from_simulator(
+        scale * whole,
+        scale * float(change[is_rejecting].sum()),
+        scale * float(change[is_recorded & ~is_rejecting].sum()),
+        scale * float(change[~is_recorded].sum()),
+    )
 
 
 def descending_key(value: float) -> float:
@@ -324,6 +398,9 @@ def choose_interval(
     is_corrected = estimate.model_value is not None and not math.isnan(estimate.value)
     if is_corrected and likelihood is not None and likelihood.status == "ok":
         chosen = _put_inside(estimate, likelihood, scale, size)
+        # what the interval lets unrecorded pairs do is said beside it
+        told = tuple(f for f in chosen.findings if f.kind != "coverage")
+        chosen = replace(chosen, findings=told)
     else:
         chosen = _with_own_interval(estimate, level)
     lacks_interval = chosen.interval is None and (
@@ -409,92 +486,137 @@ def add_comparison(
     level: float,
     known: Premises,
     front: Mapping[str, Estimate],
+    default: Mapping[str, Estimate],
     scale: float,
 ) -> Uncertainty:
     """Compare the policies, and add the sentences that need their values.
 
     They say what the intervals assume, which policy is best, and what to record next.
-    ``front`` are the estimates that stand first; ``scale`` multiplies values in the
-    sentences.
+    ``front`` are the estimates that stand first, ``default`` those of the default, on
+    which alone the comparison rests; ``scale`` multiplies values in the sentences.
     """
     _progress.report_step("comparison of the policies, and what to record next")
-    about = {
-        name: _describe(methods, front[name].diagnostics.get("coverage"), scale)
-        for name, methods in found.intervals.items()
-    }
-    values = {name: estimate.value for name, estimate in front.items()}
-    has_ranking = len(values) > 1 and any(map(math.isfinite, values.values()))
+    assumptions = {}
+    about = {}
+    for name, methods in found.intervals.items():
+        coverage = default[name].diagnostics.get("coverage")
+        share = None if coverage is None else 1.0 - coverage
+        assumptions[name] = _write_assumption(
+            methods[LIKELIHOOD], share, scale, has_box=known.has_box
+        )
+        sentences = [_describe(methods, scale)]
+        if len(policies) > 1:  # that of a single policy stands beside its value
+            sentences.insert(0, assumptions[name])
+        sentences.append(_explain_distance(problem, policies[name], scale))
+        about[name] = " ".join(filter(None, sentences))
+    found = replace(found, policies=about, assumptions=assumptions, default=default)
+    has_ranking = len(front) > 1 and any(
+        math.isfinite(estimate.value) for estimate in front.values()
+    )
     if problem.simulator.discount == 1.0 and problem.horizon is None:
-        ranking = text.NEEDS_HORIZON if has_ranking else ""
-        return replace(found, policies=about, ranking=ranking)
+        return replace(found, ranking=text.NEEDS_HORIZON if has_ranking else "")
     comparison = None
     decision = None
     ranking = ""
-    if len(values) > 1:
+    if len(front) > 1:
         # all differences from the best hold at once
-        each = 1.0 - (1.0 - level) / (len(values) - 1)
-        comparison = compare_policies(problem, policies, confidence=each, **known.box)
+        each = 1.0 - (1.0 - level) / (len(front) - 1)
+        comparison = compare_estimates(
+            problem, policies, default, confidence=each, **known.box
+        )
     if comparison is not None and has_ranking:
-        decision = comparison.decide(values, found.likelihood)
-        ranking = _rank(decision, values, found.likelihood, level, scale)
-    advised = advice(problem, policies, level)
+        decision = comparison.decide(intervals=found.likelihood)
+        is_by_default = all(front[name] is default[name] for name in front)
+        ranking = _rank(
+            decision,
+            comparison,
+            found.likelihood,
+            level,
+            scale,
+            by_default=is_by_default,
+        )
     return replace(
         found,
-        policies=about,
         comparison=comparison,
         decision=decision,
         ranking=ranking,
-        next=advised,
+        next=advice(problem, policies, level),
     )
 
 
 def _rank(
     decision: Decision,
-    values: Mapping[str, float],
+    comparison: Comparison,
     likelihood: Mapping[str, Interval],
     level: float,
     scale: float,
+    *,
+    by_default: bool,
 ) -> str:
-    """Say which policy is best, and by how much it is better than the next."""
+    """Say which policy is best, and by how much it is better than the next.
+
+    ``by_default`` says that the values that stand first are the default's as well.
+    """
+    names = comparison.names
+    prefix = "" if by_default else text.BY_DEFAULT
     if decision.margin is None:
-        return text.no_best_policy(
-            decision.candidates, len(values), are_equal=decision.are_equal
+        return prefix + text.no_best_policy(
+            decision.candidates, len(names), are_equal=decision.are_equal
         )
-    best, following = sorted(values, key=lambda name: descending_key(values[name]))[:2]
+    best, following = names[:2]
     # likelihood intervals that are apart already tell which policy is better
     ours = likelihood.get(best)
     theirs = likelihood.get(following)
     overlap = ours is None or theirs is None or ours.lower <= theirs.upper
     difference, lower, upper = (scale * x for x in decision.margin)
-    return text.best_policy(
-        best, following, len(values), (difference, lower, upper), level, overlap=overlap
+    return prefix + text.best_policy(
+        best, following, len(names), (difference, lower, upper), level, overlap=overlap
     )
 
 
-def _describe(
-    intervals: Mapping[str, Interval], coverage: float | None, scale: float
+def _write_assumption(
+    quoted: Interval, share: float | None, scale: float, *, has_box: bool
 ) -> str:
-    """Say what the intervals of a policy assume.
+    """Say what an interval lets unrecorded pairs do; "" where they hardly matter.
 
-    ``coverage`` is the share of the policy's discounted time that the log covers.
+    ``share`` is the share of the policy's time in them, where it is known.
     """
+    unrecorded = int(quoted.diagnostics.get("unrecorded_pairs", 0))
+    is_small = share is not None and share <= MAX_SHARE_UNTOLD
+    if quoted.status != "ok" or not unrecorded or is_small:
+        return ""
+    factor = float(quoted.diagnostics["unrecorded_factor"])
+
+    def scaled(ends: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Return the ends of an interval in the report's unit."""
+        return None if ends is None else (scale * ends[0], scale * ends[1])
+
+    return text.assumption(
+        factor,
+        unrecorded,
+        share,
+        scaled(quoted.sampling) if factor > 1.0 else None,
+        scaled(quoted.worst_case) if math.isfinite(factor) else None,
+        has_box=has_box,
+    )
+
+
+def _describe(intervals: Mapping[str, Interval], scale: float) -> str:
+    """Say what the intervals of a policy assume beside unrecorded pairs."""
     quoted = intervals[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."
+    sentences = []
+    if "stopped_after" in quoted.diagnostics:
+        sentences.append(text.stopped(quoted.diagnostics["stopped_after"]))
     dropped = bool(quoted.diagnostics.get("dropped_transitions", 0.0))
-    unrecorded = int(quoted.diagnostics["unrecorded_pairs"])
-    share = None if coverage is None else 1.0 - coverage
-    sentences = [text.worst_case(unrecorded, share, dropped=dropped)]
-    if quoted.sampling is not None:
+    if dropped and quoted.sampling is not None:
         lower, upper = quoted.sampling
-        if quoted.width > MIN_WIDTH_RATIO_TO_EXPLAIN * (upper - lower):
-            sentences.append(
-                text.sampling_interval(
-                    lower * scale, upper * scale, unrecorded=unrecorded
-                )
-            )
+        sentences.append(text.without_dropped(lower * scale, upper * scale))
+    elif dropped:
+        sentences.append(text.DROPPED)
     if GUARANTEED in intervals:
         widest = intervals[GUARANTEED]
         ends = text.format_interval(scale * widest.lower, scale * widest.upper)
         sentences.append(text.INTERVAL_AT_ANY_SIZE.format(ends))
-    return " ".join(filter(None, sentences))
+    return " ".join(sentences)
