@@ -121,6 +121,28 @@ BoxOption = Annotated[
     ),
 ]
 
+UnrecordedOption = Annotated[
+    str | None,
+    typer.Option(
+        "--unrecorded",
+        metavar="FACTOR",
+        help="By how much pairs that were never recorded may differ from the estimate in"
+        " intervals: 1 (as estimated) to inf (anything); 3 by default.",
+        rich_help_panel=VALUE,
+    ),
+]
+
+IntervalSecondsOption = Annotated[
+    float | None,
+    typer.Option(
+        "--interval-seconds",
+        metavar="SECONDS",
+        help="Time in which the intervals of a large problem are searched for; by"
+        " default that of the rest, at least 30.",
+        rich_help_panel=VALUE,
+    ),
+]
+
 HorizonOption = Annotated[
     int | None,
     typer.Option(

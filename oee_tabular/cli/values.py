@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,6 +35,7 @@ from oee_tabular.cli.options import (
     HorizonOption,
     ImpossibleOption,
     InitialOption,
+    IntervalSecondsOption,
     JobsOption,
     JsonOption,
     LogOption,
@@ -45,6 +47,7 @@ from oee_tabular.cli.options import (
     RewardsOption,
     SeedOption,
     SimulatorOption,
+    UnrecordedOption,
     print_result,
     say,
 )
@@ -179,6 +182,8 @@ def evaluate(
             rich_help_panel=VALUE,
         ),
     ] = None,
+    unrecorded: UnrecordedOption = None,
+    interval_seconds: IntervalSecondsOption = None,
     seed: SeedOption = 0,
     show_all: Annotated[
         bool,
@@ -223,6 +228,8 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
+    from oee_tabular.report.tables import render_intervals
+
     title, outputs = _read_outputs(output, report, overwrite=overwrite)
     settings = task_options(task_option)
     cells = read_grid(grid)
@@ -236,7 +243,8 @@ def evaluate(
         "--initial": initial,
         "--impossible": impossible,
     }
-    _refuse_quick_box(guaranteed is False, box)
+    knob = _read_knob(unrecorded, interval_seconds)
+    _refuse_beside_quick(guaranteed is False, box, unrecorded, interval_seconds)
     common: dict[str, Any] = {
         "confidence": confidence,
         "seed": seed,
@@ -245,6 +253,13 @@ def evaluate(
         "estimators": None if estimators is None else _split_names(estimators),
         "normalized": bool(normalized),
     }
+    is_shown: list[bool] = []
+
+    def show(report: Report) -> None:
+        """Print the report of a large problem before its intervals are known."""
+        is_shown.append(True)
+        say(report.to_text(all=show_all, verbose=verbose))
+
     if simulator is None and not log:
         _refuse_given(
             {"--column": column, "--behavior": behavior, "--target": target}
@@ -253,7 +268,11 @@ def evaluate(
         )
         common["normalized"] = normalized is not False
         made = _evaluate_example(
-            policy, horizon=horizon, discount=discount, rewards=rewards, common=common
+            policy,
+            horizon=horizon,
+            discount=discount,
+            rewards=rewards,
+            common=common | knob,
         )
     elif simulator is None or not log:
         given, missing = ("log", "simulator") if log else ("simulator", "log")
@@ -265,7 +284,12 @@ def evaluate(
         common["fit"] = fit.split(",") if fit else fit
         common["history"] = literal(history, "--history")
         _refuse_given(
-            {"--rewards": rewards} | for_files,
+            {
+                "--rewards": rewards,
+                "--unrecorded": unrecorded,
+                "--interval-seconds": interval_seconds,
+            }
+            | for_files,
             "must be left out for a continuous task, whose states have no numbers; it"
             " is {}",
         )
@@ -299,11 +323,15 @@ def evaluate(
             horizon=horizon,
             discount=discount,
             rewards=rewards,
-            common=common,
+            common=common | knob,
+            show=None if as_json else show,
         )
     record = made.to_dict() if as_json else {}
+    shown = made.to_text(all=show_all, verbose=verbose)
+    if is_shown:
+        shown = f"\n{render_intervals(made)}"
     try:
-        print_result(made.to_text(all=show_all, verbose=verbose), record, as_json)
+        print_result(shown, record, as_json)
     finally:
         # the files are written whatever becomes of standard output
         written = _write_report(made, outputs, title)
@@ -379,14 +407,56 @@ def _refuse_task_options(
     )
 
 
-def _refuse_quick_box(quick: bool, box: str | None) -> None:
-    """Refuse a box beside --quick; a box is read first, since it may be none."""
+def _read_knob(
+    unrecorded: str | None, interval_seconds: float | None
+) -> dict[str, float]:
+    """Read --unrecorded and --interval-seconds; return those that were given."""
+    knob: dict[str, float] = {}
+    if unrecorded is not None:
+        try:
+            knob["unrecorded"] = float(unrecorded)
+        except ValueError:
+            raise ArgumentError(
+                "--unrecorded", f"must be a number from 1 to inf; it is {unrecorded!r}"
+            ) from None
+        if not knob["unrecorded"] >= 1.0:
+            raise ArgumentError(
+                "--unrecorded", f"must be in [1, inf]; it is {unrecorded}"
+            )
+    if interval_seconds is not None:
+        if not 0.0 < interval_seconds < math.inf:
+            raise ArgumentError(
+                "--interval-seconds",
+                f"must be a number of seconds above 0; it is {interval_seconds:g}"
+                " (--quick leaves the intervals out)",
+            )
+        knob["interval_seconds"] = interval_seconds
+    return knob
+
+
+def _refuse_beside_quick(
+    quick: bool,
+    box: str | None,
+    unrecorded: str | None,
+    interval_seconds: float | None,
+) -> None:
+    """Refuse what is about intervals beside --quick; a box may be none."""
     if read_box(box) and quick:
         raise ArgumentError(
             "--quick",
             "must be left out with --box: it leaves out the intervals that a box"
             " narrows",
         )
+    for option, value in (
+        ("--unrecorded", unrecorded),
+        ("--interval-seconds", interval_seconds),
+    ):
+        if value is not None and quick:
+            raise ArgumentError(
+                "--quick",
+                f"must be left out with {option}: it leaves out the intervals that this"
+                " is about",
+            )
 
 
 def _refuse_given(options: Mapping[str, object], rule: str) -> None:
@@ -440,8 +510,10 @@ def _evaluate_finite(
     discount: float | None,
     rewards: str,
     common: Mapping[str, Any],
+    show: Callable[[Report], object] | None,
 ) -> Report:
     """Evaluate policies by the files of a simulator and a log."""
+    from oee_tabular.report.evaluation import evaluate_showing
     from oee_tabular.report.page import date_of
 
     task, problem = read_problem(
@@ -485,9 +557,10 @@ def _evaluate_finite(
     true_mdp = None
     if target is not None:
         true_mdp = task_of(target, task.mdp.discount, initial).mdp
-    return oee.evaluate(
+    return evaluate_showing(
         problem,
         policies_of(policy, task),
+        show,
         facts=facts,
         target=true_mdp,
         **known,
@@ -540,6 +613,8 @@ def compare(
             rich_help_panel=VALUE,
         ),
     ] = False,
+    unrecorded: UnrecordedOption = None,
+    interval_seconds: IntervalSecondsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say which of several policies is worth most.
@@ -547,6 +622,7 @@ def compare(
     It prints differences with their intervals and P(best), or says that the log cannot
     tell.
     """
+    from oee_tabular.report.evaluation import contest_showing
     from oee_tabular.report.tables import render_comparison
 
     if is_continuous(simulator):
@@ -561,8 +637,8 @@ def compare(
             "must be given twice or more, for there is nothing to compare; there is"
             f" {policy[0]!r}",
         )
-    _refuse_quick_box(quick, box)
-    known: dict[str, Any] = read_box(box)
+    _refuse_beside_quick(quick, box, unrecorded, interval_seconds)
+    known: dict[str, Any] = read_box(box) | _read_knob(unrecorded, interval_seconds)
     task, problem = read_problem(
         simulator,
         log,
@@ -575,8 +651,18 @@ def compare(
         column=column,
     )
     policies = policies_of(policy, task)
-    report = oee.report.contest(
-        problem, policies, confidence=confidence, quick=quick, **known
+
+    def show(report: Report) -> None:
+        """Print the answer of a large problem before its intervals are known."""
+        say(f"{render_comparison(report)}\n")
+
+    report = contest_showing(
+        problem,
+        policies,
+        None if as_json else show,
+        confidence=confidence,
+        quick=quick,
+        **known,
     )
     warnings = [str(finding) for finding in problem.findings]
     lines = [render_comparison(report)]

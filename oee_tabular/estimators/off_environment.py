@@ -188,6 +188,8 @@ class OffEnvironment(RatioEstimator):
         Estimate
             The value, without the findings that follow from its diagnostics.
         """
+        if self == DEFAULT:
+            return _estimate_by_default(problem, policy)[0]
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)
@@ -300,6 +302,10 @@ class OffEnvironment(RatioEstimator):
         return moments.mean
 
 
+DEFAULT = OffEnvironment()
+MAX_KEPT_BYTES = 2**28  # of the rows of a problem's last policies
+
+
 def estimate_with_rows(problem: Problem, policy: Array) -> tuple[Estimate, Array]:
     """Compute the default's estimate, and the rows zeta P that it begins from.
 
@@ -307,13 +313,31 @@ def estimate_with_rows(problem: Problem, policy: Array) -> tuple[Estimate, Array
     estimate is ``OffEnvironment()(problem, policy)`` without its findings; no seed
     matters.
     """
-    default = OffEnvironment()
-    zeta = default.fit(problem, policy, np.random.default_rng(0))
-    rows = reweight(problem.model, zeta).transitions.data
     try:
-        return _estimate_exactly(problem, zeta, policy), rows
+        return _estimate_by_default(problem, policy)
     except DivergentKernelError as divergence:
+        zeta = DEFAULT.fit(problem, policy, np.random.default_rng(0))
+        rows = reweight(problem.model, zeta).transitions.data
         return Estimate(float("nan"), status=str(divergence)), rows
+
+
+def _estimate_by_default(problem: Problem, policy: Array) -> tuple[Estimate, Array]:
+    """Return the default's estimate and its rows, kept for a problem's last policies.
+
+    Intervals and comparisons need what the estimator has computed already.
+    """
+    kept: dict[bytes, tuple[Estimate, Array]] = problem.cache.setdefault(
+        _estimate_by_default, {}
+    )
+    key = policy.tobytes()
+    if key not in kept:
+        zeta = DEFAULT.fit(problem, policy, np.random.default_rng(0))
+        rows = reweight(problem.model, zeta).transitions.data
+        most = max(MAX_KEPT_BYTES // max(rows.nbytes + len(key), 1), 1)
+        while len(kept) >= most:
+            del kept[next(iter(kept))]
+        kept[key] = _estimate_exactly(problem, zeta, policy), rows
+    return kept[key]
 
 
 def _estimate_exactly(

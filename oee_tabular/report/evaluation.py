@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import blake2b
@@ -53,6 +54,11 @@ from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 
 # of the largest action value or reward: a smaller loss is rounding
 OPTIMALITY_TOLERANCE = 1e-9
+# transitions of a simulator from which on a command shows the report before the
+# intervals
+MIN_LARGE_TRANSITIONS = 200_000
+# the least limit of the time in which a command searches for a large problem's intervals
+MIN_INTERVAL_SECONDS = 30.0
 MAX_FIGURES = 3  # of the worst policies, that a note gives
 
 Pair: TypeAlias = tuple[str, str]  # (policy, estimator)
@@ -74,7 +80,6 @@ EstimatorsLike: TypeAlias = (
 
 
 @suggest_keywords
-@one_thread
 def evaluate(
     problem: Problem,
     policies: PoliciesLike,
@@ -216,6 +221,55 @@ def evaluate(
     >>> report.uncertainty.sentences[0]
     'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
     """
+    return evaluate_showing(
+        problem,
+        policies,
+        None,
+        estimators=estimators,
+        confidence=confidence,
+        seed=seed,
+        normalized=normalized,
+        target=target,
+        facts=facts,
+        guaranteed=guaranteed,
+        quick=quick,
+        lower_ratio=lower_ratio,
+        upper_ratio=upper_ratio,
+        tie=tie,
+        features=features,
+        unrecorded=unrecorded,
+        interval_seconds=interval_seconds,
+    )
+
+
+@one_thread
+def evaluate_showing(
+    problem: Problem,
+    policies: PoliciesLike,
+    show: Callable[[Report], object] | None,
+    *,
+    estimators: EstimatorsLike | None = None,
+    confidence: float = 0.95,
+    seed: SeedNumbers = None,
+    normalized: bool = False,
+    target: FiniteMDP | None = None,
+    facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
+    quick: bool = False,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    tie: TieLike | None = None,
+    features: FeaturesLike | None = None,
+    unrecorded: float | None = None,
+    interval_seconds: float | None = None,
+) -> Report:
+    """Evaluate policies, and show a large problem's report before its intervals.
+
+    The other arguments are those of ``evaluate``. In a large problem ``show`` gets the
+    report without likelihood intervals as soon as it is ready; the search for them then
+    ends after ``interval_seconds``, or after the time that the report took, but not
+    before ``MIN_INTERVAL_SECONDS``. Without ``show`` there is no limit by default.
+    """
     _check_problem_and_flags(
         problem, normalized=normalized, guaranteed=guaranteed, quick=quick
     )
@@ -236,12 +290,7 @@ def evaluate(
     known = Premises(lower_ratio, upper_ratio, tie, features, unrecorded)
     check_factor(unrecorded, has_box=known.has_box)
     seconds = check_seconds(interval_seconds, "interval_seconds")
-    if quick and known.has_box:
-        raise ArgumentError(
-            "quick",
-            "must be False with lower_ratio or upper_ratio: it leaves out the intervals"
-            " that they narrow",
-        )
+    _refuse_beside_quick(known, interval_seconds, quick=quick)
     chosen, left_out = _choose_estimators(problem, estimators, target)
     truth = {}
     if target is not None:
@@ -249,40 +298,6 @@ def evaluate(
             name: policy_value(target, pi, horizon=problem.horizon)
             for name, pi in named.items()
         }
-    scale = 1.0 - simulator.discount if normalized else 1.0
-    with _progress.show_steps(only_terminal=True):
-        results = _run_estimators(problem, named, chosen | known.estimators, seed)
-        hidden: frozenset[Pair] = frozenset()
-        if estimators is None:
-            results, reasons = _drop_weightless(results)
-            left_out += reasons
-            hidden = _pairs_with_few_weights(results)
-        uncertainty = find_intervals(
-            problem,
-            named,
-            level,
-            known,
-            guaranteed=guaranteed,
-            quick=quick,
-            seconds=seconds,
-        )
-        size = largest_reward(problem.model)
-        results = _choose_intervals(results, uncertainty, known, level, scale, size)
-        front = {
-            name: result.estimate for name, result in first_results(results).items()
-        }
-        default = _default_estimates(
-            problem, named, results, chosen, uncertainty, level, scale, size
-        )
-        uncertainty = add_comparison(
-            uncertainty, problem, named, level, known, front, default, scale
-        )
-    effect = ""
-    if problem.reward_conflict is not None:
-        effect = text.reward_change(
-            {name: scale * reward_effect(problem, pi) for name, pi in named.items()}
-        )
-    warnings, notes = _collect_warnings(problem, results, left_out, effect)
     about = {
         "simulator": repr(simulator),
         "log": problem.log.describe(),
@@ -290,6 +305,109 @@ def evaluate(
     }
     if known.has_box:
         about["target"] = str(known)
+    about |= dict({} if facts is None else facts)
+    started = time.monotonic()
+    with _progress.show_steps(only_terminal=True):
+        results = _run_estimators(problem, named, chosen | known.estimators, seed)
+        hidden: frozenset[Pair] = frozenset()
+        if estimators is None:
+            results, reasons = _drop_weightless(results)
+            left_out += reasons
+            hidden = _pairs_with_few_weights(results)
+
+    def write(missing: str, guaranteed: bool, seconds: float | None) -> Report:
+        """Write the report; ``missing`` says why it has no likelihood intervals."""
+        with _progress.show_steps(only_terminal=True):
+            found = find_intervals(
+                problem,
+                named,
+                level,
+                known,
+                guaranteed=guaranteed,
+                missing=missing,
+                seconds=seconds,
+            )
+            return _write_report(
+                problem,
+                named,
+                results,
+                chosen,
+                known,
+                found,
+                level=level,
+                normalized=normalized,
+                left_out=left_out,
+                truth=truth,
+                seed=seed,
+                facts=about,
+                hidden=hidden,
+            )
+
+    reason = "quick=True (--quick) leaves them out" if quick else ""
+    if show is None or quick or not _is_large(problem):
+        return write(reason, guaranteed, seconds)
+    show(write("their ends are searched for next", False, None))
+    if seconds is None:
+        seconds = max(time.monotonic() - started, MIN_INTERVAL_SECONDS)
+    return write("", guaranteed, seconds)
+
+
+def _is_large(problem: Problem) -> bool:
+    """Return whether likelihood intervals take longer than a reader waits."""
+    return problem.simulator.transitions.nnz >= MIN_LARGE_TRANSITIONS
+
+
+def _refuse_beside_quick(
+    known: Premises, interval_seconds: float | None, *, quick: bool
+) -> None:
+    """Refuse what narrows or limits intervals where ``quick`` leaves them out."""
+    what = ""
+    if known.has_box:
+        what = (
+            "lower_ratio or upper_ratio: it leaves out the intervals that they narrow"
+        )
+    elif known.unrecorded is not None:
+        what = "unrecorded: it leaves out the intervals that this is about"
+    elif interval_seconds is not None:
+        what = "interval_seconds: it leaves out the intervals that this is about"
+    if quick and what:
+        raise ArgumentError("quick", f"must be False with {what}")
+
+
+def _write_report(
+    problem: Problem,
+    named: Mapping[str, Array],
+    results: Sequence[Result],
+    chosen: Mapping[str, EstimatorLike],
+    known: Premises,
+    uncertainty: Uncertainty,
+    *,
+    level: float,
+    normalized: bool,
+    left_out: Sequence[str],
+    truth: Mapping[str, float],
+    seed: SeedNumbers,
+    facts: Mapping[str, Any],
+    hidden: frozenset[Pair],
+) -> Report:
+    """Put estimates, intervals, comparison and notes together."""
+    simulator = problem.simulator
+    scale = 1.0 - simulator.discount if normalized else 1.0
+    size = largest_reward(problem.model)
+    results = _choose_intervals(results, uncertainty, known, level, scale, size)
+    front = {name: result.estimate for name, result in first_results(results).items()}
+    default = _default_estimates(
+        problem, named, results, chosen, uncertainty, level, scale, size
+    )
+    uncertainty = add_comparison(
+        uncertainty, problem, named, level, known, front, default, scale
+    )
+    effect = ""
+    if problem.reward_conflict is not None:
+        effect = text.reward_change(
+            {name: scale * reward_effect(problem, pi) for name, pi in named.items()}
+        )
+    warnings, notes = _collect_warnings(problem, results, left_out, effect)
     return Report(
         tuple(results),
         truth,
@@ -300,7 +418,7 @@ def evaluate(
         simulator.discount,
         problem.horizon,
         seed,
-        about | dict({} if facts is None else facts),
+        facts,
         uncertainty,
         problem,
         named,
@@ -396,13 +514,55 @@ def contest(
     ... ]
     [3.26, 3.13, 3.39]
     """
+    return contest_showing(
+        problem,
+        policies,
+        None,
+        confidence=confidence,
+        normalized=normalized,
+        target=target,
+        facts=facts,
+        guaranteed=guaranteed,
+        quick=quick,
+        lower_ratio=lower_ratio,
+        upper_ratio=upper_ratio,
+        tie=tie,
+        features=features,
+        unrecorded=unrecorded,
+        interval_seconds=interval_seconds,
+    )
+
+
+def contest_showing(
+    problem: Problem,
+    policies: PoliciesLike,
+    show: Callable[[Report], object] | None,
+    *,
+    confidence: float = 0.95,
+    normalized: bool = False,
+    target: FiniteMDP | None = None,
+    facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
+    quick: bool = False,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    tie: TieLike | None = None,
+    features: FeaturesLike | None = None,
+    unrecorded: float | None = None,
+    interval_seconds: float | None = None,
+) -> Report:
+    """Compare policies, and show a large problem's report before its intervals.
+
+    The arguments are those of ``contest`` and ``evaluate_showing``.
+    """
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     several_policies(policies, problem.simulator)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
-    return evaluate(
+    return evaluate_showing(
         problem,
         policies,
+        show,
         estimators=["oee"],
         confidence=confidence,
         seed=0,

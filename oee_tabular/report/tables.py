@@ -43,6 +43,17 @@ def render_comparison(report: Report) -> str:
     )
 
 
+def render_intervals(report: Report) -> str:
+    """Write what likelihood intervals add to a report that was shown without them."""
+    rows = [row for row in report.rows() if row["interval_method"] == "likelihood"]
+    return join(
+        fold(["With the likelihood intervals:"]),
+        fold([report.headline]),
+        comparison_table(report),
+        fold([*report.legend(rows), *details(report)]),
+    )
+
+
 def render_html(report: Report) -> str:
     """Write a report as a table in a notebook."""
     columns = estimator_columns(report, verbose=False)

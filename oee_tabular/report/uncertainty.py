@@ -244,12 +244,13 @@ def find_intervals(
     known: Premises,
     *,
     guaranteed: bool,
-    quick: bool,
+    missing: str = "",
     seconds: float | None = None,
 ) -> Uncertainty:
     """Test the simulator against the log, and compute the intervals of every policy.
 
-    Where there are no intervals, a sentence says why. ``seconds`` is a limit of the
+    Where there are no intervals, a sentence says why; ``missing`` is a reason to leave
+    them out. ``seconds`` is a limit of the
     time in which the intervals of all policies are searched for.
     """
     if problem.soft:
@@ -260,7 +261,7 @@ def find_intervals(
             )
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
-    lacking = _reason_without_intervals(problem, evidence, quick=quick)
+    lacking = _reason_without_intervals(problem, evidence) or missing
     distance = (_test_simulator(evidence)[0],)
     del evidence  # as much memory as the simulator
     if lacking:
@@ -283,14 +284,10 @@ def find_intervals(
     return Uncertainty(intervals, distance)
 
 
-def _reason_without_intervals(
-    problem: Problem, evidence: Evidence, *, quick: bool
-) -> str:
-    """Return why there are no likelihood intervals; "" where there are."""
+def _reason_without_intervals(problem: Problem, evidence: Evidence) -> str:
+    """Return why there cannot be likelihood intervals; "" where there can."""
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         return "at discount 1 they need a horizon"
-    if quick:
-        return "quick=True (--quick) leaves them out"
     if len(evidence.phat) > MAX_TRANSITIONS:
         reachable = int(np.diff(evidence.rows.indptr)[evidence.reachable].sum())
         if reachable > MAX_TRANSITIONS:
