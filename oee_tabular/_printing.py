@@ -70,10 +70,11 @@ def _has(encoding: str, text: str) -> bool:
     return True
 
 
-def spec(lower: float, upper: float) -> str:
+def spec(lower: float, upper: float, *, exact: bool = False) -> str:
     """Choose the format of an interval's ends, and of the value between them.
 
-    It shows two digits of the width, and never fewer than the units.
+    It shows two digits of the width, and never fewer than the units. Of ends that are
+    ``exact`` at least four significant digits are shown.
 
     Examples
     --------
@@ -91,6 +92,8 @@ def spec(lower: float, upper: float) -> str:
         last = math.floor(math.log10(width)) - 1
         if first < 7:  # written without an exponent
             last = min(last, 0)
+        if exact:
+            last = min(last, first - 3)
     last = max(last, first - 14)
     return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
 
@@ -107,9 +110,9 @@ def share(part: float) -> str:
     return "< 0.1%" if text == "0.0%" and part > 1e-12 else text
 
 
-def interval(lower: float, upper: float) -> str:
+def interval(lower: float, upper: float, *, exact: bool = False) -> str:
     """Write [lower, upper] in the format of ``spec``."""
-    form = spec(lower, upper)
+    form = spec(lower, upper, exact=exact)
     return f"[{lower:{form}}, {upper:{form}}]"
 
 

@@ -154,7 +154,8 @@ class Interval:
                 f"inner bounds of the {what} (the search was stopped after"
                 f" {self.diagnostics['stopped_after']:.3g} s)"
             )
-        return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
+        ends = _printing.interval(self.lower, self.upper, exact=self.method == "range")
+        return f"{ends}, {what}; {_printing.SUM}"
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the interval on a line (``oee_tabular.plots.plot_intervals``).

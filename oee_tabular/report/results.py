@@ -225,8 +225,11 @@ class Report:
             if likelihood is not None:
                 unrecorded = int(likelihood.diagnostics.get("unrecorded_pairs", 0))
             assumption = ""
+            is_inner = False
             if row["interval_method"] == LIKELIHOOD:
                 assumption = self.uncertainty.assumptions.get(policy, "")
+                found = None if likelihood is None else likelihood.diagnostics
+                is_inner = found is not None and "stopped_after" in found
             answers.append(
                 Answer(
                     policy,
@@ -241,6 +244,7 @@ class Report:
                     row.get("coverage"),
                     unrecorded,
                     assumption,
+                    is_inner,
                     first.estimate.is_from_log,
                 )
             )

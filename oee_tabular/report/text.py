@@ -134,6 +134,8 @@ class Answer:
     assumption : str
         A sentence on the pairs that were never recorded: what the interval lets them
         do, and its two ends; "" where they hardly matter.
+    is_inner : bool
+        Whether the interval's ends are inner bounds, because their search was stopped.
     is_from_log : bool
         Whether the value uses the log. False for what the simulator alone says.
     """
@@ -150,6 +152,7 @@ class Answer:
     coverage: float | None
     unrecorded: int
     assumption: str
+    is_inner: bool
     is_from_log: bool
 
     @property
@@ -205,7 +208,9 @@ def count(number: int, noun: str) -> str:
 def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
     ends = (answer.lower, answer.upper)
-    level = format_level(confidence)
+    level = f"{format_level(confidence)} interval"
+    if answer.is_inner:
+        level = f"inner bounds of the {level}"
     if answer.is_nearly_silent and answer.coverage is not None:
         sentence = (
             f"The log covers {_printing.share(answer.coverage)} of what the policy"
@@ -214,7 +219,7 @@ def policy_worth(answer: Answer, confidence: float) -> str:
         if answer.lower is None:
             sentence += f"about {format_number(answer.value)}, without an interval"
         else:
-            sentence += f"between {format_interval(*ends, ' and ')} ({level} interval)"
+            sentence += f"between {format_interval(*ends, ' and ')} ({level})"
     else:
         is_of_target = answer.is_from_log or answer.truth is not None
         where = "target" if is_of_target else "simulator"
@@ -223,7 +228,7 @@ def policy_worth(answer: Answer, confidence: float) -> str:
             f" {format_value(answer.value, *ends)}"
         )
         if answer.lower is not None:
-            sentence += f" ({level} interval: {format_interval(*ends)})"
+            sentence += f" ({level}: {format_interval(*ends)})"
     if answer.simulator is not None and answer.is_from_log:
         sentence += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
@@ -314,13 +319,13 @@ def test_of_simulator(
     ``is_rejected`` whether all together do.
     """
     pairs = f"{tested:,} recorded state-action pairs"
-    if tested == 1:
-        pairs = "one recorded state-action pair"
     if not is_rejected and not rejected:
+        where = f"the {pairs}, neither together (z = {z:.1f}) nor one by one"
+        if tested == 1:
+            where = f"the one recorded state-action pair (z = {z:.1f})"
         return (
-            "The data show no significant difference from the simulator in the"
-            f" {pairs}, neither together (z = {z:.1f}) nor one by one. A short log"
-            " cannot show a small one."
+            f"The data show no significant difference from the simulator in {where}. A"
+            " short log cannot show a small one."
         )
     if not is_rejected:
         verb = "does" if rejected == 1 else "do"
@@ -333,11 +338,12 @@ def test_of_simulator(
         f"Together the recorded transitions reject the simulator (z = {z:.1f}: what it"
         f" calls likely happens {sign} often than it says)."
     )
+    if tested == 1:
+        return f"{whole} All are of one state-action pair."
     if not rejected:
         return f"{whole} By itself, none of the {pairs} does."
     if rejected == tested:
-        each = "each" if tested > 1 else "the one"
-        return f"{whole} By itself, {each} of the {pairs} does as well."
+        return f"{whole} By itself, each of the {pairs} does as well."
     verb = "rejects" if rejected == 1 else "reject"
     return f"{whole} By themselves, {rejected:,} of the {pairs} {verb} it."
 
@@ -402,9 +408,11 @@ def assumption(
         )
     ends = []
     if as_estimated is not None:
-        ends.append(f"if they behave as estimated: {format_interval(*as_estimated)}")
+        whose = "it behaves" if unrecorded == 1 else "they behave"
+        ends.append(f"if {whose} as estimated: {format_interval(*as_estimated)}")
     if anything is not None:
-        ends.append(f"if they may do anything: {format_interval(*anything)}")
+        they = "it" if unrecorded == 1 else "they"
+        ends.append(f"if {they} may do anything: {format_interval(*anything)}")
     return f"{'; '.join([rule, *ends])}."
 
 

@@ -81,23 +81,21 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     policy = np.ones((60, 1))
     found = oee.interval(problem, policy)
     assert found.lower < found.sampling[0] < found.sampling[1] < found.upper
-    assert found.width > 1.5 * np.diff(found.sampling)[0]
+    lower, upper = found.worst_case
+    assert lower < found.lower < found.upper < upper
     report = oee.evaluate(problem, policy, seed=0, normalized=True)
     row = report.table.set_index("estimator").loc["oee"]
-    assert_allclose(
-        row[["sampling_lower", "sampling_upper"]].astype(float),
-        0.1 * np.array(found.sampling),
-        rtol=1e-9,
-    )
+    for columns, ends in (
+        (["sampling_lower", "sampling_upper"], found.sampling),
+        (["worst_case_lower", "worst_case_upper"], found.worst_case),
+        (["lower", "upper"], (found.lower, found.upper)),
+    ):
+        assert_allclose(row[columns].astype(float), 0.1 * np.array(ends), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
     share = f"{100 * (1 - row['coverage']):.1f}% of the policy's time"
-    sentence = next(
-        x
-        for x in report.uncertainty.sentences
-        if "If such pairs behave as estimated" in x
-    )
-    assert f"unrecorded pairs ({share})." in sentence
-    assert "If such pairs behave as estimated, the interval is " in sentence
+    assert f"pairs that were never recorded, {share}, differ" in report.headline
+    assert "; if they behave as estimated: " in report.headline
+    assert "; if they may do anything: " in report.headline
     report.save(tmp_path)
     kept = next(
         r
@@ -113,7 +111,8 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     )
     page = report.to_html()
     assert "sampling interval" in page
-    assert "If such pairs behave as estimated" in page
+    assert "worst case interval" in page
+    assert "if they behave as estimated" in page
 
 
 def test_it_stays_in_the_box():

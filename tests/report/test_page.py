@@ -282,7 +282,7 @@ def test_the_sentence_for_one_policy_for_none_and_without_intervals():
         estimators={"own": constant(2.0, 1.0)},
         confidence=0.999,
     )
-    assert "about 2.000 (99.9% interval: −1.291 to 5.291)" in sure.headline
+    assert "about 2.0 (99.9% interval: −1.3 to 5.3)" in sure.headline
     none = oee.evaluate(
         problem, {"mine": uniform}, estimators={"own": constant(math.nan)}
     )

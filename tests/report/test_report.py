@@ -145,11 +145,13 @@ def test_warnings_say_what_the_numbers_do_not():
     )
     text = "\n".join(report.warnings)
     assert (
-        "oee (policy): in this estimator's own model the policy spends "
-        in text.replace("model-based, oee", "oee")
+        "model-based (policy): in this estimator's own model the policy spends " in text
     )
+    # of the default, this is said beside the interval
+    assert "The interval lets the " in report.headline
+    assert "oee (policy): in this estimator's own model" not in text
     assert "the effective sample size is" in text
-    assert report.notes["policy", "oee"]
+    assert report.notes["policy", "model-based"]
     assert not report.notes["policy", "simulator"]
 
 
@@ -385,6 +387,8 @@ def answer(**changes):
         "truth": None,
         "coverage": 0.9,
         "unrecorded": 0,
+        "assumption": "",
+        "is_inner": False,
         "is_from_log": True,
     }
     return Answer(**usual | changes)
@@ -396,8 +400,8 @@ def answer(**changes):
         (
             {},
             (
-                "In the target, the policy “new” is worth about −6.410 (95% interval:"
-                " −8.000 to −5.000); the simulator says −7.000."
+                "In the target, the policy “new” is worth about −6.4 (95% interval:"
+                " −8.0 to −5.0); the simulator says −7.0."
             ),
         ),
         (
@@ -410,23 +414,23 @@ def answer(**changes):
         (
             {"simulator": None, "truth": -6.0},
             (
-                "In the target, the policy “new” is worth about −6.410 (95% interval:"
-                " −8.000 to −5.000). The exact value, known here, is −6.000."
+                "In the target, the policy “new” is worth about −6.4 (95% interval:"
+                " −8.0 to −5.0). The exact value, known here, is −6.000."
             ),
         ),
         (
             {"simulator_error": 0.25},
             (
-                "In the target, the policy “new” is worth about −6.410 (95% interval:"
-                " −8.000 to −5.000); the simulator says −7.000 (standard error 0.25,"
+                "In the target, the policy “new” is worth about −6.4 (95% interval:"
+                " −8.0 to −5.0); the simulator says −7.0 (standard error 0.25,"
                 " because it was sampled)."
             ),
         ),
         (
             {"coverage": 0.17, "lower": -20.0, "upper": 5.0},
             (
-                "The log covers 17.0% of what the policy “new” does: between −20.00 and"
-                " 5.00 (95% interval); the simulator says −7.00."
+                "The log covers 17.0% of what the policy “new” does: between −20 and 5"
+                " (95% interval); the simulator says −7."
             ),
         ),
         (
@@ -434,6 +438,14 @@ def answer(**changes):
             (
                 "The log covers 17.0% of what the policy “new” does: about −6.410,"
                 " without an interval."
+            ),
+        ),
+        (
+            {"is_inner": True, "assumption": "The interval lets one differ."},
+            (
+                "In the target, the policy “new” is worth about −6.4 (inner bounds of"
+                " the 95% interval: −8.0 to −5.0); the simulator says −7.0. The interval"
+                " lets one differ."
             ),
         ),
         (
@@ -458,7 +470,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
             (
                 "Of 2 policies, “a” is worth most in the target. It is better than “b”"
-                " by 0.2500 (99.9%: 0.1250 to 0.5000). The difference is known more"
+                " by 0.25 (99.9%: 0.12 to 0.50). The difference is known more"
                 " precisely than either value because both rest on the same"
                 " transitions."
             ),
@@ -482,49 +494,96 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.pair_rejections(3, 40),
+            text.test_of_simulator(-29.04, 1, 739, is_rejected=True),
             (
-                "The data reject the simulator in 3 of the 40 recorded state-action"
-                " pairs. In the others the log shows no significant difference."
+                "Together the recorded transitions reject the simulator (z = -29.0: what"
+                " it calls likely happens less often than it says). By themselves, 1 of"
+                " the 739 recorded state-action pairs rejects it."
             ),
         ),
         (
-            text.joint_rejection(24.51),
+            text.test_of_simulator(24.51, 0, 1200, is_rejected=True),
             (
-                "The data as a whole reject the simulator (z = 24.5), although no"
-                " single state-action pair does. Transitions that the simulator calls"
-                " likely are more frequent in the target."
+                "Together the recorded transitions reject the simulator (z = 24.5: what"
+                " it calls likely happens more often than it says). By itself, none of"
+                " the 1,200 recorded state-action pairs does."
             ),
         ),
         (
-            text.agreement(1),
+            text.test_of_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
+            "By itself, each of the 6 recorded state-action pairs does as well.",
+        ),
+        (
+            text.test_of_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],
+            "All are of one state-action pair.",
+        ),
+        (
+            text.test_of_simulator(0.52, 3, 40, is_rejected=False),
+            (
+                "Together the recorded transitions do not reject the simulator (z ="
+                " 0.5); by themselves, 3 of the 40 recorded state-action pairs do."
+            ),
+        ),
+        (
+            text.test_of_simulator(-1.2, 0, 40, is_rejected=False),
+            (
+                "The data show no significant difference from the simulator in the 40"
+                " recorded state-action pairs, neither together (z = -1.2) nor one by"
+                " one. A short log cannot show a small one."
+            ),
+        ),
+        (
+            text.test_of_simulator(0.0, 0, 1, is_rejected=False),
             (
                 "The data show no significant difference from the simulator in the one"
-                " recorded state-action pair. A short log cannot show a small one."
+                " recorded state-action pair (z = 0.0). A short log cannot show a small"
+                " one."
             ),
         ),
         (
-            text.worst_case(1, 0.003, dropped=False),
+            text.distance_from_simulator(-9.53, -1.1, -8.43, 0.0),
             (
-                "The interval allows any outcome in 1 unrecorded pair (0.3% of the"
-                " policy's time)."
+                "The corrected simulator's value differs from the simulator's by −9.5:"
+                " −1.1 comes from pairs that reject the simulator one by one, −8.4 from"
+                " other recorded pairs, 0 from pairs that were never recorded."
             ),
         ),
         (
-            text.worst_case(4, 0.25, dropped=True),
+            text.assumption(3.0, 6, 0.06, (-45.2, -31.1), (-173.2, -31.7)),
             (
-                "The interval allows any outcome in 4 unrecorded pairs (25.0% of the"
-                " policy's time). It lets dropped transitions lead anywhere."
+                "The interval lets the 6 pairs that were never recorded, 6.0% of the"
+                " policy's time, differ from the estimate by a factor of three; if they"
+                " behave as estimated: −45 to −31; if they may do anything: −173 to −32."
             ),
         ),
-        (text.worst_case(0, 0.0, dropped=False), ""),
         (
-            text.sampling_interval(-2.0, 1.0, unrecorded=3),
-            "If such pairs behave as estimated, the interval is −2.000 to 1.000.",
+            text.assumption(1.0, 1, None, None, (-2.0, 1.0)),
+            (
+                "The interval takes the pair that was never recorded as estimated; if"
+                " it may do anything: −2.0 to 1.0."
+            ),
         ),
         (
-            text.sampling_interval(-2.0, 1.0, unrecorded=0),
-            "Without these transitions, the interval is −2.000 to 1.000.",
+            text.assumption(math.inf, 1200, 0.5, (-2.0, 1.0), None, has_box=True),
+            (
+                "The interval lets the 1,200 pairs that were never recorded, 50.0% of"
+                " the policy's time, do anything that the box allows; if they behave as"
+                " estimated: −2.0 to 1.0."
+            ),
+        ),
+        (
+            text.assumption(2.5, 2, 0.02, None, None),
+            (
+                "The interval lets the 2 pairs that were never recorded, 2.0% of the"
+                " policy's time, differ from the estimate by a factor of 2.5."
+            ),
+        ),
+        (
+            text.without_dropped(-2.0, 1.0),
+            (
+                "The interval lets dropped transitions lead anywhere; without them it is"
+                " −2.0 to 1.0."
+            ),
         ),
         (
             text.legend("one-step", ["oee", "mine"], 0.9),
@@ -555,7 +614,7 @@ def test_numbers():
     ]
     assert numbers == ["−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value"]
     assert [text.format_interval(*ends) for ends in ((-1.0, 2.0), (None, 1.0))] == [
-        "−1.000 to 2.000",
+        "−1.0 to 2.0",
         "–",
     ]
     assert [text.format_level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
@@ -564,7 +623,8 @@ def test_numbers():
         "1 pair",
         "1,234 pairs",
     ]
-    assert text.format_value(-0.123456, -1.0, 1.0) == "−0.123"
+    assert text.format_value(-0.123456, -1.0, 1.0) == "−0.1"
+    assert text.format_value(-0.123456, -0.14, -0.09) == "−0.123"
 
 
 def test_the_names_that_type_checkers_know_are_those_that_evaluate_takes():
