@@ -57,6 +57,8 @@ THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
 CONTRADICTION = 2.0
 # details of a ratio that become diagnostics of the value
 DETAILS = ("strength", "meaning", "n_keys")
+# how far the change towards the log goes, in multiples of the smaller of two changes
+MAX_LENGTHENING = 2.0
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
@@ -125,7 +127,7 @@ class OffEnvironment(RatioEstimator):
     maximum-likelihood value has a large variance if there are few transitions. If the
     nearer value is more than 2 s away, change is lengthened towards the
     maximum-likelihood value, which it reaches at 4 s, because the linearisation error
-    then exceeds the sampling error. s is the standard error of the difference of the
+    then exceeds the sampling error; but it is at most doubled. s is the standard error of the difference of the
     two values, se that of the one-step value, se_fit that of zeta * P if its prior
     fits. lambda grows with s / se_fit: the more the prior can gain, the more evidence
     the log needs against it. Its values minimise the largest regret over all biases of
@@ -475,12 +477,16 @@ def change_to_log(one_step: float, likelihood: float, s: float) -> float:
 
     It is the smaller of the two, and 0 if they have different signs. If the smaller is
     2 to 4 times ``s``, the standard error of the difference, the change goes partly to
-    maximum likelihood's value; beyond that, all the way.
+    maximum likelihood's value; beyond that, all the way, but never further than
+    ``MAX_LENGTHENING`` times the smaller. Where one value is a linearisation of the
+    other and they are further apart than that, neither is near the truth: in a log with
+    few transitions, maximum likelihood may never leave a state that was recorded once.
     """
     if one_step * likelihood <= 0:
         return 0.0
     nearer = min(one_step, likelihood, key=abs)
     distance = abs(nearer) / s if s > 0 else np.inf
-    return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (
-        likelihood - nearer
-    )
+    share = float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0))
+    change = nearer + share * (likelihood - nearer)
+    limit = MAX_LENGTHENING * abs(nearer)
+    return float(np.clip(change, -limit, limit))

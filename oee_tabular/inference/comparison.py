@@ -331,6 +331,7 @@ class Comparison:
         for i, name in enumerate(self.names):
             probability = best[name]
             ends = (self.lower[i, 0], self.upper[i, 0])
+            around = self.values[i] + self.standard_errors[i] * np.array([-2.0, 2.0])
             difference = ""
             if i:
                 shown = format(self.differences[i, 0], _printing.spec(*ends))
@@ -338,7 +339,7 @@ class Comparison:
             rows.append(
                 [
                     name,
-                    f"{self.values[i]:.5g}",
+                    format(self.values[i], _printing.spec(*around)),
                     f"{self.standard_errors[i]:.2g}",
                     "-" if probability is None else f"{probability:.1%}",
                     difference,
@@ -479,8 +480,8 @@ def compare_policies(
     ... )
     >>> print(comparison)
     policy         value  std. error  P(best)  difference from the best
-    new           10.203        0.17   100.0%
-    recorded      6.9413        0.13     0.0%  -3.261 [-3.389, -3.134]
+    new            10.18        0.16   100.0%
+    recorded        6.92        0.12     0.0%  -3.26 [-3.38, -3.13]
     values: discounted sum of rewards, not normalised; intervals at 95%
     """
     return compare_estimates(

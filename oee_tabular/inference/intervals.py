@@ -503,11 +503,14 @@ def _likelihood_interval(
     facts: dict[str, Any],
     seconds: float | None,
 ) -> Interval:
-    """Compute the profile likelihood interval at a factor, with its two ends.
+    """Compute the likelihood interval at a factor, with its two ends.
 
-    At a factor between 1 and infinity it holds the interval at 1 as well, and is within
-    that at infinity. So the value is inside, and a larger factor never gives a shorter
-    interval.
+    At a factor k between 1 and infinity the ends of the interval at 1 (the default's
+    value -+ z standard errors, ``sampling``) are moved outwards by as much as the
+    profile likelihood's ends are moved from the factor 1 to k, but not beyond both
+    ``sampling`` and the interval at infinity. So the value is inside, and a larger
+    factor never gives a shorter interval. The default's value is a better centre than
+    maximum likelihood where pairs have few transitions.
     """
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     has_gaps = facts["unrecorded_pairs"] > 0
@@ -515,22 +518,23 @@ def _likelihood_interval(
     estimated: Array | None = None
     if has_gaps or problem.dropped.any():
         estimate, estimated = estimate_with_rows(problem, evidence.policy)
-    is_between = has_gaps and 1.0 < factor < np.inf
     watch = _progress.Watch(seconds)
     found: list[tuple[End, End]] = []
-    if is_between and estimated is not None:
-        near = evidence.near(estimated, factor)
-        found.append(likelihood_ends(near, level, watch.part(0.5)))
+    if has_gaps and estimated is not None and 1.0 < factor < np.inf:
+        for k, share in ((1.0, 1.0 / 3.0), (factor, 0.5)):
+            near = evidence.near(estimated, k)
+            found.append(likelihood_ends(near, level, watch.part(share)))
     found.append(likelihood_ends(evidence, level, watch))
     worst = found[-1][0].value, found[-1][1].value
     sampling: tuple[float, float] | None = worst
     if estimate is not None:
         sampling = _interval_as_estimated(evidence, estimate, z, worst)
         facts["sampling_method"] = "value ± quantile x standard error"
-    lower, upper = found[0][0].value, found[0][1].value
-    if is_between and sampling is not None:
-        lower = max(min(lower, sampling[0]), worst[0])
-        upper = min(max(upper, sampling[1]), worst[1])
+    lower, upper = worst
+    if len(found) > 1:
+        lower, upper = found[1][0].value, found[1][1].value
+        if sampling is not None:
+            lower, upper = _move_ends(sampling, found[0], found[1], worst)
     if margin is not None:
         lower, upper = margin.widen(lower, upper, z)
         worst = margin.widen(*worst, z)
@@ -643,6 +647,29 @@ def _interval_under(
     return Interval(
         lower, upper, level, f"likelihood under {under}", facts, under=under
     )
+
+
+def _move_ends(
+    sampling: tuple[float, float],
+    as_estimated: tuple[End, End],
+    near: tuple[End, End],
+    worst: tuple[float, float],
+) -> tuple[float, float]:
+    """Move the ends of ``sampling`` as the likelihood's ends move with the factor.
+
+    ``as_estimated`` are the likelihood's ends at the factor 1, and ``near`` those at
+    the factor asked for. Where the search for the former was stopped, the move is not
+    known; none is an inner bound.
+    """
+    down = max(as_estimated[0].value - near[0].value, 0.0)
+    up = max(near[1].value - as_estimated[1].value, 0.0)
+    if not as_estimated[0].is_final:
+        down = 0.0
+    if not as_estimated[1].is_final:
+        up = 0.0
+    lower = max(sampling[0] - down, min(sampling[0], worst[0]))
+    upper = min(sampling[1] + up, max(sampling[1], worst[1]))
+    return lower, upper
 
 
 def _interval_as_estimated(

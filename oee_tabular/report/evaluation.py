@@ -219,7 +219,7 @@ def evaluate(
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
     >>> report.uncertainty.sentences[0]
-    'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
+    'The recorded transitions reject the simulator: 6 of the 6 recorded state-action pairs do so by themselves. In all of them together, what it calls likely is as frequent as it says (z = 0.6).'
     """
     return evaluate_showing(
         problem,
@@ -507,12 +507,12 @@ def contest(
     ...     pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
     ... )
     >>> print(found.headline)
-    Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.255 (95%: 3.134 to 3.389).
+    Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.26 (95%: 3.13 to 3.38).
     >>> [
     ...     round(found.comparison()[1][key], 2)
     ...     for key in ("less_by", "less_by_lower", "less_by_upper")
     ... ]
-    [3.26, 3.13, 3.39]
+    [3.26, 3.13, 3.38]
     """
     return contest_showing(
         problem,

@@ -328,10 +328,13 @@ def test_of_simulator(
             " short log cannot show a small one."
         )
     if not is_rejected:
-        verb = "does" if rejected == 1 else "do"
+        each = f"{rejected:,} of the {pairs} {'does' if rejected == 1 else 'do'} so"
+        if tested == 1:
+            each = "those of the one recorded state-action pair do so"
         return (
-            "Together the recorded transitions do not reject the simulator"
-            f" (z = {z:.1f}); by themselves, {rejected:,} of the {pairs} {verb}."
+            f"The recorded transitions reject the simulator: {each} by"
+            f" {'itself' if rejected == 1 else 'themselves'}. In all of them together,"
+            f" what it calls likely is as frequent as it says (z = {z:.1f})."
         )
     sign = "less" if z < 0 else "more"
     whole = (

@@ -588,12 +588,16 @@ def _write_assumption(
         """Return the ends of an interval in the report's unit."""
         return None if ends is None else (scale * ends[0], scale * ends[1])
 
+    anything = quoted.worst_case
+    if anything is not None:
+        # around maximum likelihood's value, it may be short of the quoted interval
+        anything = min(anything[0], quoted.lower), max(anything[1], quoted.upper)
     return text.assumption(
         factor,
         unrecorded,
         share,
         scaled(quoted.sampling) if factor > 1.0 else None,
-        scaled(quoted.worst_case) if math.isfinite(factor) else None,
+        scaled(anything) if math.isfinite(factor) else None,
         has_box=has_box,
     )
 

@@ -335,7 +335,9 @@ def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
 
 
 def test_a_change_beyond_two_standard_errors_goes_on_to_maximum_likelihood():
-    """To the nearer, the one-step value, up to two; from four on to the other."""
+    """To the nearer, the one-step value, up to two; from four on to the other, but no
+    further than twice the nearer.
+    """
     simulator = oee.tasks.gridworld(4, 0.1)
     target = oee.tasks.gridworld(4, 0.3)
     log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 600, seed=0)
@@ -356,6 +358,7 @@ def test_a_change_beyond_two_standard_errors_goes_on_to_maximum_likelihood():
         apart = np.sqrt(error - facts["standard_error_if_centre_fits"] ** 2)
         nearer.append(abs(first) / apart)
         change = first + np.clip((nearer[-1] - 2) / 2, 0, 1) * (second - first)
+        change = max(change, 2 * first)  # both are negative
         assert_allclose(facts["one_step_distance"], abs(change) / apart, rtol=1e-6)
     assert second < first < 0
     assert 2 < nearer[0] < nearer[1] < 4 < nearer[2]

@@ -520,8 +520,16 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.test_of_simulator(0.52, 3, 40, is_rejected=False),
             (
-                "Together the recorded transitions do not reject the simulator (z ="
-                " 0.5); by themselves, 3 of the 40 recorded state-action pairs do."
+                "The recorded transitions reject the simulator: 3 of the 40 recorded"
+                " state-action pairs do so by themselves. In all of them together, what"
+                " it calls likely is as frequent as it says (z = 0.5)."
+            ),
+        ),
+        (
+            text.test_of_simulator(0.52, 1, 40, is_rejected=False).split(". ")[0],
+            (
+                "The recorded transitions reject the simulator: 1 of the 40 recorded"
+                " state-action pairs does so by itself"
             ),
         ),
         (
