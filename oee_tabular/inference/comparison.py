@@ -597,7 +597,7 @@ def _center(estimates: Sequence[Estimate | None], likely: Array) -> tuple[Array,
     """Return the values of policies, and the factor of their standard errors.
 
     ``likely`` are the values in the maximum-likelihood model, which stand in for an
-    estimate without a value. Policies with equal values there are equal.
+    estimate without a value.
 
     The default varies less than maximum likelihood, since it borrows strength. Its
     standard deviation is between that of a fit whose centre is right and that of
@@ -617,11 +617,6 @@ def _center(estimates: Sequence[Estimate | None], likely: Array) -> tuple[Array,
             ratios.append(1.0)
         else:
             ratios.append(float(narrow) / error)
-    scale = np.abs(likely).max()
-    for k in range(len(values)):
-        is_equal = np.abs(likely[:k] - likely[k]) <= EQUALITY_TOLERANCE * scale
-        if is_equal.any():
-            values[k] = values[np.flatnonzero(is_equal)[0]]
     return values, min(max(ratios), 1.0)
 
 

@@ -1,0 +1,139 @@
+"""Many reports of random problems: no two things in one of them contradict each other."""
+
+import itertools
+import json
+import re
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy
+
+import oee_tabular as oee
+
+N_REPORTS = 500
+N_PARTS = 10
+
+
+def draw(rng):
+    """A random problem, from a log of few transitions to one of many, and policies that
+    are far apart or nearly the same.
+    """
+    simulator = random_mdp(rng)
+    target = random_mdp(rng, like=simulator)
+    shape = simulator.n_states, simulator.n_actions
+    share = rng.dirichlet(np.ones(shape[0] * shape[1])).reshape(shape)
+    if rng.random() < 0.5:
+        share = np.where(rng.random(shape) < 0.3, 0.0, share)
+        share[0, 0] += 0.1
+    n = int(rng.choice([1, 5, 30, 200, 2000]))
+    log = oee.sample_transitions(target, share / share.sum(), n, seed=rng)
+    first = random_policy(rng, simulator)
+    policies = {"a": first}
+    for name in "bcd"[: rng.integers(1, 4)]:
+        other = random_policy(rng, simulator)
+        policies[name] = oee.mix(first, other, rng.choice([0.02, 0.3, 1.0]))
+    if rng.random() < 0.2:
+        policies["same"] = first.copy()
+    horizon = None if rng.random() < 0.7 else int(rng.integers(1, 8))
+    return oee.Problem(simulator, log, horizon=horizon), policies
+
+
+def inside(value, lower, upper):
+    slack = 1e-9 * max(1.0, abs(lower), abs(upper))
+    return lower - slack <= value <= upper + slack
+
+
+def check(report):
+    """Everything that a reader can lay side by side."""
+    rows = report.comparison()
+    values = [row["value"] for row in rows]
+    assert values == sorted(values, reverse=True)
+    records = {row["policy"]: row for row in report.records()}
+    for row in rows:
+        beside = records[row["policy"]]
+        for key in ("value", "lower", "upper"):
+            assert row[key] == beside[key]
+        assert inside(row["value"], row["lower"], row["upper"])
+        if row["sampling_lower"] is not None:
+            assert row["lower"] <= row["sampling_lower"] + 1e-9
+            assert row["upper"] >= row["sampling_upper"] - 1e-9
+    for row in rows[1:]:
+        assert row["less_by"] == pytest.approx(values[0] - row["value"], abs=1e-9)
+        if row["less_by_lower"] is not None:
+            assert inside(row["less_by"], row["less_by_lower"], row["less_by_upper"])
+        # intervals that are apart tell the policies apart
+        if row["upper"] < rows[0]["lower"]:
+            assert row["less_by_lower"] > 0.0
+    chances = [row["probability_best"] for row in rows]
+    if None not in chances:
+        assert sum(chances) == pytest.approx(1.0)
+        if len(rows) == 2:
+            assert chances[0] >= 0.5
+    best = report.best
+    if best is not None:
+        assert best == rows[0]["policy"]
+        assert all(row["less_by_lower"] > 0.0 for row in rows[1:])
+        assert chances[0] is None or chances[0] == max(chances)
+        assert f"“{best}” is worth most in the target" in report.headline
+    else:
+        assert "is worth most in the target. It is better" not in report.headline
+        open_ = [row for row in rows[1:] if not (row["less_by_lower"] or 0.0) > 0.0]
+        assert open_
+        assert None in chances or max(chances) <= report.confidence or equal(rows)
+    told = json.loads(report.to_json())
+    assert [row["policy"] for row in told["comparison"]] == [
+        row["policy"] for row in rows
+    ]
+    assert told["best"] == best
+    for row, kept in zip(rows, told["comparison"], strict=True):
+        assert kept["value"] == row["value"]
+        assert kept["probability_best"] == row["probability_best"]
+    # the answer tells the values in the order of the table
+    places = [report.answer.find(f"policy “{row['policy']}”") for row in rows]
+    known = [place for place in places if place >= 0]
+    assert known == sorted(known)
+
+
+def equal(rows):
+    return all(row["less_by"] <= 1e-12 * abs(rows[0]["value"]) for row in rows[1:])
+
+
+@pytest.mark.parametrize("part", range(N_PARTS))
+def test_no_report_contradicts_itself(part):
+    for seed in range(part, N_REPORTS, N_PARTS):
+        problem, policies = draw(np.random.default_rng([55, seed]))
+        report = oee.report.contest(problem, policies)
+        check(report)
+        if seed % 25 == part % 25:
+            whole = oee.evaluate(problem, policies, seed=0)
+            check_same(report, whole)
+            page = re.sub(r"<[^>]+>", " ", whole.to_html())
+            assert " ".join(whole.headline.split()) in " ".join(page.split())
+
+
+def check_same(report, other):
+    """``contest`` and ``evaluate`` say the same of the policies."""
+    for one, two in zip(report.comparison(), other.comparison(), strict=True):
+        assert one == two
+    assert report.headline == other.headline
+    assert report.best == other.best
+
+
+def test_no_two_policies_that_do_the_same_differ():
+    """Also where they differ in states that neither reaches."""
+    rows = np.zeros((4, 2, 4))
+    rows[0, :, :2] = [[0.3, 0.7], [0.6, 0.4]]
+    rows[1, :, :2] = 0.5
+    rows[2:, :, 2:] = [[[0.5, 0.5], [0.2, 0.8]]] * 2
+    simulator = oee.FiniteMDP(rows, [0.0, 1.0, 2.0, -3.0], 0, 0.9)
+    log = oee.sample_transitions(simulator, np.full((4, 2), 1 / 8), 60, seed=0)
+    one = np.array([[0.5, 0.5]] * 4)
+    other = one.copy()
+    other[2:] = [0.0, 1.0]
+    report = oee.report.contest(
+        oee.Problem(simulator, log), {"one": one, "other": other}
+    )
+    assert report.comparison()[1]["less_by"] == 0.0
+    assert "worth the same" in report.headline
+    for one, two in itertools.combinations(report.answers, 2):
+        assert one.value == pytest.approx(two.value, rel=1e-6)
