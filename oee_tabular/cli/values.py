@@ -447,16 +447,20 @@ def _refuse_beside_quick(
             "must be left out with --box: it leaves out the intervals that a box"
             " narrows",
         )
-    for option, value in (
-        ("--unrecorded", unrecorded),
-        ("--interval-seconds", interval_seconds),
-    ):
-        if value is not None and quick:
-            raise ArgumentError(
-                "--quick",
-                f"must be left out with {option}: it leaves out the intervals that this"
-                " is about",
-            )
+    if not quick:
+        return
+    if unrecorded is not None and math.isinf(float(unrecorded)):
+        raise ArgumentError(
+            "--quick",
+            "must be left out with --unrecorded inf: it leaves out the search for this"
+            " worst case",
+        )
+    if interval_seconds is not None:
+        raise ArgumentError(
+            "--quick",
+            "must be left out with --interval-seconds: it leaves out the search that"
+            " this is about",
+        )
 
 
 def _refuse_given(options: Mapping[str, object], rule: str) -> None:

@@ -75,22 +75,25 @@ class Evidence:
         return with_rows(self.model, probabilities)
 
     def near(self, estimated: Array, factor: float) -> Evidence:
-        """Return the evidence in which unrecorded rows are near estimated ones.
+        """Return the set of models near estimated rows, as robust evaluation reads it.
 
-        In a row without data P' is between Q / factor and factor * Q, and within the
-        box, where Q is the estimated row (of ``estimated``, one number an entry), as
-        near to it as the box allows. Q takes the simulator's place in ``phat``. Rows
-        with data stay as they are.
+        Q are the estimated rows (of ``estimated``, one number an entry). In a row with
+        data P' is Q. In a row without, it is between Q / factor and factor * Q and
+        within the box, as near to Q as the box allows. Q takes the place of ``phat``.
         """
-        never = self.rows.spread(self.n) == 0
-        centre = estimated / self.rows.spread(self.rows.sums(estimated))
+        rows = self.rows
+        never = rows.spread(self.n) == 0
+        centre = estimated / rows.spread(rows.sums(estimated))
         if self.has_box:
-            centre = _scale_into(self.rows, centre, self.low, self.high)
+            boxed = _scale_into(rows, centre, self.low, self.high)
+            centre = np.where(never, boxed, centre)
+        low = np.maximum(self.low, centre / factor)
+        high = np.minimum(self.high, centre * factor)
         return replace(
             self,
-            phat=np.where(never, centre, self.phat),
-            low=np.where(never, np.maximum(self.low, centre / factor), self.low),
-            high=np.where(never, np.minimum(self.high, centre * factor), self.high),
+            phat=centre,
+            low=np.where(never, low, centre),
+            high=np.where(never, high, centre),
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
@@ -149,7 +150,7 @@ class Interval:
             what = f"{level} {self.method} interval"
         if self.status != "ok":
             return f"no {what}: {self.status}"
-        if "stopped_after" in self.diagnostics:
+        if self.diagnostics.get("inner_bounds_of") == "interval":
             what = (
                 f"inner bounds of the {what} (the search was stopped after"
                 f" {self.diagnostics['stopped_after']:.3g} s)"
@@ -282,9 +283,10 @@ def interval(
     n_bootstrap : int, default 400
         The number of resamples, for "bootstrap" only.
     seconds : float, optional
-        The time, above 0, after which the search for the ends of "likelihood" is
-        stopped. The ends found so far are then inner bounds of the interval, and
-        ``diagnostics["stopped_after"]`` says so. None sets no limit.
+        The time, above 0, after which the search for the ends of ``worst_case`` is
+        stopped (and of the interval itself where every pair is recorded). The ends
+        found so far are then inner bounds, as ``diagnostics["inner_bounds_of"]`` says.
+        None sets no limit.
     seed : int, Generator or SeedSequence, optional
         The seed of the resamples, for "bootstrap" only. None draws a new seed.
 
@@ -365,14 +367,7 @@ def interval(
     if kind == "auto":
         kind = "anytime" if problem.log.by_episodes else "independent"
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
-    margin = outside_margin(problem, evidence)
-    n_unrecorded = _count_unrecorded(evidence)
-    facts: dict[str, Any] = {
-        "unrecorded_share": unrecorded_share(evidence),
-        "unrecorded_pairs": n_unrecorded,
-    }
-    if margin is not None:
-        facts |= margin.diagnostics
+    margin, facts = _gather_facts(problem, evidence)
     if evidence.has_box:
         wrong = find_contradictions(evidence, level, kind)
         if wrong.size:
@@ -477,6 +472,41 @@ def value_range(
     return Interval(low.bound, high.bound, 1.0, "range", facts)
 
 
+def interval_without_search(
+    problem: Problem, policy: PolicyLike, *, confidence: float, unrecorded: float | None
+) -> Interval | None:
+    """Compute the likelihood interval without the search for its worst case.
+
+    None where it would be that search's alone: where every pair is recorded, and at an
+    infinite factor. The other arguments are those of ``interval``.
+    """
+    factor = check_factor(unrecorded, has_box=False)
+    evidence = gather(problem, policy)
+    if math.isinf(factor) or not _count_unrecorded(evidence):
+        return None
+    estimate, _ = estimate_with_rows(problem, evidence.policy)
+    if estimate.standard_error is None or not math.isfinite(estimate.standard_error):
+        return None
+    margin, facts = _gather_facts(problem, evidence)
+    return _likelihood_interval(
+        problem, evidence, confidence, factor, margin, facts, 0.0
+    )
+
+
+def _gather_facts(
+    problem: Problem, evidence: Evidence
+) -> tuple[Margin | None, dict[str, Any]]:
+    """Return by how much an interval is to be widened, and its first diagnostics."""
+    margin = outside_margin(problem, evidence)
+    facts: dict[str, Any] = {
+        "unrecorded_share": unrecorded_share(evidence),
+        "unrecorded_pairs": _count_unrecorded(evidence),
+    }
+    if margin is not None:
+        facts |= margin.diagnostics
+    return margin, facts
+
+
 def check_factor(unrecorded: object, *, has_box: bool) -> float:
     """Check the factor of unrecorded pairs; None is the default.
 
@@ -505,59 +535,94 @@ def _likelihood_interval(
 ) -> Interval:
     """Compute the likelihood interval at a factor, with its two ends.
 
-    At a factor k between 1 and infinity the ends of the interval at 1 (the default's
-    value -+ z standard errors, ``sampling``) are moved outwards by as much as the
-    profile likelihood's ends are moved from the factor 1 to k, but not beyond both
-    ``sampling`` and the interval at infinity. So the value is inside, and a larger
-    factor never gives a shorter interval. The default's value is a better centre than
-    maximum likelihood where pairs have few transitions.
+    The end at infinity, ``worst_case``, is the profile likelihood's interval, by
+    ascents; it is the interval itself where every pair is recorded. The search for it
+    ends after ``seconds``, and is left out where they are 0. The end at 1,
+    ``sampling``, is the default's value -+ z standard errors.
+
+    At a factor k between, the ends are
+
+        value -+ max(z se, z se_recorded + Delta_k),
+
+    se_recorded the standard error of the recorded pairs alone, and Delta_k by how much
+    J falls below (rises above) J(Q) in the worst (best) model whose unrecorded pairs
+    are within the factor k of the estimated rows Q = zeta P, and whose recorded pairs
+    are Q's: a robust evaluation, whose optimum is global and certified. So the value is
+    inside, and a larger finite factor never gives a shorter interval. The default's
+    value is a better centre than maximum likelihood's where pairs have few transitions.
     """
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     has_gaps = facts["unrecorded_pairs"] > 0
     estimate = None
-    estimated: Array | None = None
-    if has_gaps or problem.dropped.any():
+    worst = None
+    ends: list[End] = []
+    if seconds is None or seconds > 0.0:
+        ends += likelihood_ends(evidence, level, _progress.Watch(seconds))
+        worst = ends[0].value, ends[1].value
+        facts |= _describe_ends(ends)
+    sampling = worst
+    if has_gaps or problem.dropped.any() or worst is None:
         estimate, estimated = estimate_with_rows(problem, evidence.policy)
-    watch = _progress.Watch(seconds)
-    found: list[tuple[End, End]] = []
-    if has_gaps and estimated is not None and 1.0 < factor < np.inf:
-        for k, share in ((1.0, 1.0 / 3.0), (factor, 0.5)):
-            near = evidence.near(estimated, k)
-            found.append(likelihood_ends(near, level, watch.part(share)))
-    found.append(likelihood_ends(evidence, level, watch))
-    worst = found[-1][0].value, found[-1][1].value
-    sampling: tuple[float, float] | None = worst
-    if estimate is not None:
         sampling = _interval_as_estimated(evidence, estimate, z, worst)
         facts["sampling_method"] = "value ± quantile x standard error"
-    lower, upper = worst
-    if len(found) > 1:
-        lower, upper = found[1][0].value, found[1][1].value
-        if sampling is not None:
-            lower, upper = _move_ends(sampling, found[0], found[1], worst)
+    facts["unrecorded_factor"] = factor
+    quoted = worst
+    is_searched = True  # whether the ends are those of the ascents
+    if has_gaps and factor < np.inf and estimate is not None and sampling is not None:
+        is_searched = False
+        quoted = _widen_by_factor(evidence, estimate, estimated, factor, z)
+        if evidence.has_box and worst is not None:
+            low, high = np.clip(quoted, *worst).tolist()
+            quoted = low, high
+    elif worst is None:
+        is_searched = False
+        quoted = sampling
+    assert quoted is not None  # with an estimate or a search there is one
     if margin is not None:
-        lower, upper = margin.widen(lower, upper, z)
-        worst = margin.widen(*worst, z)
+        quoted = margin.widen(*quoted, z)
+        worst = None if worst is None else margin.widen(*worst, z)
     if factor == 1.0 and sampling is not None:
-        lower, upper = sampling
-    ends = [end for pair in found for end in pair]
-    facts |= {
-        "unrecorded_factor": factor,
-        "divergence": max(end.divergence for end in ends),
-        "iterations": max(end.iterations for end in ends),
-        "last_change": max(end.change for end in ends),
-        "promised": max(end.promised for end in ends),
-    }
+        is_searched = False
+        quoted = sampling
     if not all(end.is_final for end in ends):
         facts["stopped_after"] = seconds
+        facts["inner_bounds_of"] = "interval" if is_searched else "worst case"
     return Interval(
-        lower,
-        upper,
+        *quoted,
         level,
         "likelihood",
         facts,
         sampling=sampling,
         worst_case=worst,
+    )
+
+
+def _describe_ends(ends: list[End]) -> dict[str, Any]:
+    """Return how the ends of the profile likelihood's interval were found."""
+    return {
+        "divergence": max(end.divergence for end in ends),
+        "iterations": max(end.iterations for end in ends),
+        "last_change": max(end.change for end in ends),
+        "promised": max(end.promised for end in ends),
+    }
+
+
+def _widen_by_factor(
+    evidence: Evidence, estimate: Estimate, estimated: Array, factor: float, z: float
+) -> tuple[float, float]:
+    """Compute value -+ max(z se, z se_recorded + Delta), Delta by robust evaluation."""
+    error = estimate.standard_error or 0.0
+    in_gaps = estimate.diagnostics["unrecorded_standard_error"]
+    recorded = float(np.sqrt(max(error**2 - in_gaps**2, 0.0)))
+    near = evidence.near(estimated, factor)
+    free = np.full(len(evidence.n), np.inf)
+    centre = policy_value(near.fitted, evidence.policy, horizon=evidence.horizon)
+    low, high = (extreme_value(near, free, sign) for sign in (-1.0, 1.0))
+    down = max(centre - low.bound, 0.0)
+    up = max(high.bound - centre, 0.0)
+    return (
+        estimate.value - max(z * error, z * recorded + down),
+        estimate.value + max(z * error, z * recorded + up),
     )
 
 
@@ -649,42 +714,23 @@ def _interval_under(
     )
 
 
-def _move_ends(
-    sampling: tuple[float, float],
-    as_estimated: tuple[End, End],
-    near: tuple[End, End],
-    worst: tuple[float, float],
-) -> tuple[float, float]:
-    """Move the ends of ``sampling`` as the likelihood's ends move with the factor.
-
-    ``as_estimated`` are the likelihood's ends at the factor 1, and ``near`` those at
-    the factor asked for. Where the search for the former was stopped, the move is not
-    known; none is an inner bound.
-    """
-    down = max(as_estimated[0].value - near[0].value, 0.0)
-    up = max(near[1].value - as_estimated[1].value, 0.0)
-    if not as_estimated[0].is_final:
-        down = 0.0
-    if not as_estimated[1].is_final:
-        up = 0.0
-    lower = max(sampling[0] - down, min(sampling[0], worst[0]))
-    upper = min(sampling[1] + up, max(sampling[1], worst[1]))
-    return lower, upper
-
-
 def _interval_as_estimated(
-    evidence: Evidence, estimate: Estimate, z: float, quoted: tuple[float, float]
+    evidence: Evidence,
+    estimate: Estimate,
+    z: float,
+    worst: tuple[float, float] | None,
 ) -> tuple[float, float] | None:
     """Return the default's value -+ a normal quantile times its standard error.
 
-    Under a box it stays within the quoted ends. None without a standard error.
+    Under a box it stays within the ends of the worst case. None without a standard
+    error.
     """
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None
     lower = estimate.value - z * estimate.standard_error
     upper = estimate.value + z * estimate.standard_error
-    if evidence.has_box:
-        lower, upper = np.clip((lower, upper), *quoted).tolist()
+    if evidence.has_box and worst is not None:
+        lower, upper = np.clip((lower, upper), *worst).tolist()
     return lower, upper
 
 

@@ -228,8 +228,8 @@ class Report:
             is_inner = False
             if row["interval_method"] == LIKELIHOOD:
                 assumption = self.uncertainty.assumptions.get(policy, "")
-                found = None if likelihood is None else likelihood.diagnostics
-                is_inner = found is not None and "stopped_after" in found
+                about = {} if likelihood is None else likelihood.diagnostics
+                is_inner = about.get("inner_bounds_of") == "interval"
             answers.append(
                 Answer(
                     policy,

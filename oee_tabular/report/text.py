@@ -90,6 +90,7 @@ SOFT = (
     " intervals need whole and independent transitions, so they are left out."
 )
 MISSING_INTERVALS = "There are no likelihood intervals: {}."
+MISSING_WORST_CASES = "The intervals' worst cases are left out: {}."
 NO_P_BEST = (
     "There is no P(best), because it includes sampling noise alone, and here other"
     " uncertainty decides the ranking."
@@ -433,12 +434,12 @@ def without_dropped(lower: float, upper: float) -> str:
     )
 
 
-def stopped(seconds: float) -> str:
-    """Say that the ends of an interval are inner bounds."""
+def stopped(what: str, seconds: float) -> str:
+    """Say that the ends of an interval, or of its worst case, are inner bounds."""
     return (
-        f"The search for the ends of the interval was stopped after {seconds:.3g} s"
+        f"The search for the ends of the {what} was stopped after {seconds:.3g} s"
         " (interval_seconds=, --interval-seconds): they are inner bounds, and the"
-        " interval is at least as wide."
+        f" {what} is at least as wide."
     )
 
 

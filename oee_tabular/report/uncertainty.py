@@ -28,6 +28,7 @@ from oee_tabular.inference import (
 )
 from oee_tabular.inference.comparison import MIN_RECORDED_SHARE, compare_estimates
 from oee_tabular.inference.evidence import Evidence, gather
+from oee_tabular.inference.intervals import interval_without_search
 from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.ratio import transition_ratio
@@ -267,7 +268,17 @@ def find_intervals(
     if lacking:
         if guaranteed:
             raise ArgumentError("guaranteed", f"must be False here: {lacking}")
-        return Uncertainty(distance=(*distance, text.MISSING_INTERVALS.format(lacking)))
+        sentence = text.MISSING_INTERVALS.format(lacking)
+        is_infinite = problem.simulator.discount == 1.0 and problem.horizon is None
+        if not known.has_box and not is_infinite:
+            intervals = {}
+            for name, policy in policies.items():
+                if found := _interval_if_quick(problem, policy, level, known):
+                    intervals[name] = found
+            if len(intervals) == len(policies):
+                sentence = text.MISSING_WORST_CASES.format(lacking)
+            return Uncertainty(intervals, (*distance, sentence))
+        return Uncertainty(distance=(*distance, sentence))
     intervals = {}
     watch = _progress.Watch(seconds)
     for i, (name, policy) in enumerate(policies.items()):
@@ -282,6 +293,16 @@ def find_intervals(
             seconds=watch.part(1.0 / (len(policies) - i)).left,
         )
     return Uncertainty(intervals, distance)
+
+
+def _interval_if_quick(
+    problem: Problem, policy: Array, level: float, known: Premises
+) -> dict[str, Interval]:
+    """Return the interval of a policy that needs no search, by its key, or {}."""
+    found = interval_without_search(
+        problem, policy, confidence=level, unrecorded=known.unrecorded
+    )
+    return {} if found is None else {LIKELIHOOD: found}
 
 
 def _reason_without_intervals(problem: Problem, evidence: Evidence) -> str:
@@ -609,7 +630,8 @@ def _describe(intervals: Mapping[str, Interval], scale: float) -> str:
         return f"{quoted.status}."
     sentences = []
     if "stopped_after" in quoted.diagnostics:
-        sentences.append(text.stopped(quoted.diagnostics["stopped_after"]))
+        about = quoted.diagnostics
+        sentences.append(text.stopped(about["inner_bounds_of"], about["stopped_after"]))
     dropped = bool(quoted.diagnostics.get("dropped_transitions", 0.0))
     if dropped and quoted.sampling is not None:
         lower, upper = quoted.sampling

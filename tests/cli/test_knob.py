@@ -50,10 +50,11 @@ def test_a_large_problem_s_report_comes_before_its_intervals(run, files, monkeyp
     monkeypatch.setattr(evaluation, "MIN_LARGE_TRANSITIONS", 1)
     out = run(words)
     first, second = out.split("With the likelihood intervals:")
+    told = " ".join(first.split())
     assert (
-        "There are no likelihood intervals: their ends are searched for next." in first
+        "The intervals' worst cases are left out: they are searched for next." in told
     )
-    assert "oee (one-step)" in first
+    assert "if they may do anything" not in told
     answer = " ".join(whole.split("\n\n")[0].split())
     assert answer in " ".join(second.split())
     # what is written, and JSON, is the whole report
@@ -70,15 +71,17 @@ def test_a_search_that_was_stopped_is_said():
     simulator, target = (oee.tasks.gridworld(13, slip) for slip in (0.3, 0.1))
     policy = oee.tasks.gridworld_policy(13, 0.5)
     log = oee.sample_episodes(target, policy, 10, 40, seed=0)
-    report = oee.evaluate(
-        oee.Problem(simulator, log), policy, estimators=["oee"], interval_seconds=1e-9
-    )
-    assert "inner bounds of the 95% interval" in report.headline
-    assert "The search for the ends of the interval was stopped after" in str(report)
-    whole = oee.evaluate(oee.Problem(simulator, log), policy, estimators=["oee"])
-    assert "inner bounds" not in whole.headline
+    problem = oee.Problem(simulator, log)
+    given = {"estimators": ["oee"], "interval_seconds": 1e-9}
+    report = oee.evaluate(problem, policy, **given)
+    assert "The search for the ends of the worst case was stopped after" in str(report)
+    whole = oee.evaluate(problem, policy, estimators=["oee"])
+    assert "stopped" not in str(whole)
+    assert "inner bounds of the 95% interval" not in report.headline
+    anything = oee.evaluate(problem, policy, unrecorded=np.inf, **given)
+    assert "inner bounds of the 95% interval" in anything.headline
     narrow, wide = report.answers[0], whole.answers[0]
-    assert wide.lower <= narrow.lower <= narrow.value <= narrow.upper <= wide.upper
+    assert (narrow.lower, narrow.upper) == (wide.lower, wide.upper)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +97,7 @@ def test_a_search_that_was_stopped_is_said():
         ),
         ("--interval-seconds inf", "--interval-seconds must be a number of seconds"),
         ("--interval-seconds -1", "--interval-seconds must be a number of seconds"),
-        ("--unrecorded 3 --quick", "--quick must be left out with --unrecorded"),
+        ("--unrecorded inf --quick", "--quick must be left out with --unrecorded inf"),
         ("--interval-seconds 9 --quick", "--quick must be left out with --interval-"),
     ],
 )
@@ -113,7 +116,7 @@ def test_continuous_tasks_have_no_such_pairs(run):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"quick": True, "unrecorded": 2.0}, "quick must be False with unrecorded"),
+        ({"quick": True, "unrecorded": np.inf}, "quick must be False with unrecorded"),
         ({"quick": True, "interval_seconds": 2}, "quick must be False with interval_s"),
         ({"interval_seconds": 0}, "interval_seconds must be in"),
         ({"unrecorded": 0}, r"unrecorded must be in \[1, inf\]; it is 0"),

@@ -33,42 +33,34 @@ def fork(n_up, n_down, n_later=0, stay=0.5):
     return oee.Problem(simulator, log), np.ones((4, 1))
 
 
-def estimated_row(problem):
-    """The probability that the estimate gives to 2 -> 1."""
-    zeta = oee.transition_ratio(
-        problem.log, problem.simulator, values_of=np.ones((4, 1))
-    )
-    return 0.5 * zeta.values[[2], [1]].item()
-
-
 @pytest.mark.parametrize("factor", [1.5, 3.0, 7.0])
 @pytest.mark.parametrize(("n_up", "n_down"), [(12, 8), (3, 9), (30, 2)])
-def test_an_interval_by_brute_force(factor, n_up, n_down):
-    """V(0) = .9 p + .81 (1 - p) q: the log bounds p, the factor q and 1 - q."""
+def test_an_interval_by_hand(factor, n_up, n_down):
+    """V(0) = .9 p + .81 (1 - p) q, p and q as estimated; the factor bounds q and 1 - q:
+    the standard error of p alone, and how far V moves with q.
+    """
     problem, policy = fork(n_up, n_down)
-    n = n_up + n_down
-    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
-    share = n_up / n
-    kl = share * np.log(share / grid) + (1 - share) * np.log((1 - share) / (1 - grid))
-    inside = grid[n * kl <= stats.chi2.ppf(0.95, 1) / 2]
-    q = estimated_row(problem)
-
-    def extremes(k):
-        low = max(q / k, 1 - k * (1 - q))
-        high = min(k * q, 1 - (1 - q) / k)
-        return np.array(
-            [
-                extreme(0.9 * p + 0.81 * (1 - p) * x for p in (inside[0], inside[-1]))
-                for extreme, x in ((min, low), (max, high))
-            ]
-        )
-
+    estimate = oee.estimators.OffEnvironment()(problem, policy)
+    zeta = oee.transition_ratio(problem.log, problem.simulator, values_of=policy)
+    p = 0.5 * zeta.values[[0], [1]].item()
+    q = 0.5 * zeta.values[[2], [1]].item()
+    low = max(q / factor, 1 - factor * (1 - q))
+    high = min(factor * q, 1 - (1 - q) / factor)
+    se = estimate.standard_error
+    recorded = np.sqrt(se**2 - estimate.diagnostics["unrecorded_standard_error"] ** 2)
+    z = stats.norm.ppf(0.975)
     found = oee.interval(problem, policy, unrecorded=factor)
-    # the ends at 1 are moved as the likelihood's are, but not beyond what is possible
-    moved = found.sampling + extremes(factor) - extremes(1.0)
-    lower = max(moved[0], min(found.sampling[0], found.worst_case[0]))
-    upper = min(moved[1], max(found.sampling[1], found.worst_case[1]))
-    assert_allclose([found.lower, found.upper], [lower, upper], rtol=1e-4)
+    assert_allclose(
+        [found.lower, found.upper],
+        [
+            estimate.value - max(z * se, z * recorded + 0.81 * (1 - p) * (q - low)),
+            estimate.value + max(z * se, z * recorded + 0.81 * (1 - p) * (high - q)),
+        ],
+        rtol=1e-9,
+    )
+    assert_allclose(
+        found.sampling, [estimate.value - z * se, estimate.value + z * se], rtol=1e-9
+    )
     assert found.diagnostics["unrecorded_factor"] == factor
 
 
@@ -86,13 +78,13 @@ def test_a_larger_factor_never_gives_a_shorter_interval(rng):
     problem = oee.Problem(simulator, log, horizon=horizon)
     found = [oee.interval(problem, policy, unrecorded=k) for k in FACTORS]
     size = max(1.0, abs(found[-1].lower), abs(found[-1].upper))
-    for narrow, wide in zip(found[:-1], found[1:-1], strict=False):
+    for narrow, wide in zip(found[:-2], found[1:-1], strict=True):
         assert wide.lower <= narrow.lower + 1e-6 * size
         assert narrow.upper <= wide.upper + 1e-6 * size
     assert (found[0].lower, found[0].upper) == found[0].sampling
     for one in found:
         assert one.sampling == found[0].sampling
-        assert one.worst_case == (found[-1].lower, found[-1].upper)
+        assert_allclose(one.worst_case, (found[-1].lower, found[-1].upper), rtol=1e-9)
     if found[0].diagnostics["unrecorded_pairs"]:
         value = oee.estimators.OffEnvironment()(problem, policy).value
         assert found[2].lower <= value <= found[2].upper
@@ -128,9 +120,8 @@ def test_the_simulator_s_support_stays():
     """What the simulator gives a probability of .999 may not become three times it."""
     problem, policy = fork(12, 8, stay=0.999)
     found = oee.interval(problem, policy, unrecorded=3.0)
-    anything = oee.interval(problem, policy, unrecorded=np.inf)
-    assert found.upper <= max(anything.upper, found.sampling[1])
-    assert found.lower > anything.lower + 0.1
+    assert found.upper - found.sampling[1] < 0.002
+    assert found.lower > oee.interval(problem, policy, unrecorded=1e6).lower + 0.1
 
 
 def test_a_search_that_was_stopped_gives_inner_bounds():
@@ -143,12 +134,16 @@ def test_a_search_that_was_stopped_gives_inner_bounds():
     assert "stopped_after" not in whole.diagnostics
     assert oee.interval(problem, policy, seconds=1e6) == whole
     short = oee.interval(problem, policy, seconds=1e-9)
+    # the search is for the worst case alone
+    assert (short.lower, short.upper) == (whole.lower, whole.upper)
     assert short.diagnostics["stopped_after"] == 1e-9
-    assert "inner bounds" in str(short)
-    assert "inner bounds" not in str(whole)
-    assert whole.lower <= short.lower <= short.upper <= whole.upper
+    assert short.diagnostics["inner_bounds_of"] == "worst case"
     assert short.worst_case[0] >= whole.worst_case[0]
     assert short.worst_case[1] <= whole.worst_case[1]
+    worst = oee.interval(problem, policy, seconds=1e-9, unrecorded=np.inf)
+    assert (worst.lower, worst.upper) == short.worst_case
+    assert "inner bounds" in str(worst)
+    assert "inner bounds" not in str(whole) + str(short)
 
 
 @pytest.mark.parametrize(
