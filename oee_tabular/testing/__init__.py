@@ -1,6 +1,7 @@
 """Laws that estimators must satisfy, exact comparisons, Hypothesis strategies.
 
 ``check_estimator`` runs an estimator through the ``laws`` on the pairs of ``cases``;
+``as_code`` writes small MDPs, logs and policies as code (``code``);
 ``compare_with_oracle`` shows its bias, variance and error beside exact limits and
 bounds (``oracles``); ``mdps``, ``policies``, ``mdp_pairs``, ``horizons`` and ``logs``
 draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'``).
@@ -20,6 +21,8 @@ reproducible       v of one seed has the same bits each time
 seeds              v of any seed has the same bits, unless the estimator is random
 support            There is no v, and no L but J, where the target has transitions
                    with simulator probability 0
+exact              v = J (or L) on a log that has each episode as often as it is
+                   probable, to 1e-6 or what the estimator declares (``tolerance``)
 limit              E v -> L, also where pairs are never recorded that pi takes
 consistent         E v -> J and L = J
 ragged             The same on episodes that end
@@ -32,7 +35,7 @@ padding            Rows in an absorbing state after an episode's end do not chan
 after_end          The same, whatever actions those rows have
 =================  ===================================================================
 
-Equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a right
+Other equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a right
 estimator fails with a chance of 1e-5.
 """
 
@@ -42,6 +45,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
+from oee_tabular.testing.code import as_code
 from oee_tabular.testing.conformance import LAWS, check_estimator
 from oee_tabular.testing.oracles import OracleComparison, compare_with_oracle
 from oee_tabular.testing.subject import CLAIMS, DEFAULT, Verdict, Verdicts, claims_of
@@ -59,6 +63,7 @@ __all__ = [
     "OracleComparison",
     "Verdict",
     "Verdicts",
+    "as_code",
     "case",
     "check_estimator",
     "claims_of",

@@ -138,6 +138,43 @@ class Case:
             for rows in slices
         )
 
+    def exact_log(self, copies: int = 1) -> Transitions:
+        """Return a log in which every episode is as frequent as it is probable.
+
+        Frequencies in it are the target's probabilities, to the bit, and its mean
+        return is the behaviour policy's value. So an estimator that is right for many
+        episodes is right on it, without any chance.
+
+        Parameters
+        ----------
+        copies : int, default 1
+            How often the log repeats its episodes.
+
+        Returns
+        -------
+        Transitions
+            The log, with the columns of ``log``.
+
+        Raises
+        ------
+        ValueError
+            If the probabilities of ``initial``, behaviour and target have no small
+            common denominators, so that such a log would have more than 100 000
+            episodes.
+
+        Examples
+        --------
+        >>> pair = case("exact")
+        >>> log = pair.exact_log()
+        >>> counts = log.counts(3, 2).toarray()[:4]  # of the pairs that do not absorb
+        >>> (counts / counts.sum(axis=1, keepdims=True)).tolist() == (
+        ...     pair.target.transitions.toarray()[:4].tolist()
+        ... )
+        True
+        """
+        copies = _checks.positive_integer(copies, "copies")
+        return _exact_log(self, copies)
+
     def problem(self, n: int, *, seed: Seed) -> Problem:
         """Return the problem of a log of ``n`` episodes.
 
@@ -242,6 +279,78 @@ class Case:
             policy=self.policy[old],
             behavior=self.behavior[old],
         )
+
+
+MAX_EPISODES = 100_000  # of an exact log
+MAX_DENOMINATOR = 64  # of the probabilities that it has
+
+
+def _equally_likely(chances: Array, name: str) -> IntArray:
+    """Return outcomes (rows, D), each with the chance 1 / D in its row of ``chances``.
+
+    D is the least common denominator of all rows.
+    """
+    for size in range(1, MAX_DENOMINATOR + 1):
+        times = np.rint(chances * size)
+        if np.allclose(times, chances * size, rtol=0.0, atol=1e-9):
+            outcomes = np.tile(np.arange(chances.shape[1]), len(chances))
+            repeated = np.repeat(outcomes, times.astype(np.int64).ravel())
+            return repeated.reshape(len(chances), size)
+    raise ArgumentError(
+        name,
+        f"must be multiples of 1/D with a D of at most {MAX_DENOMINATOR} for an exact"
+        " log; they are not (pair.log draws one)",
+    )
+
+
+def _exact_log(pair: Case, copies: int) -> Transitions:
+    """Return every episode of a case as often as it is probable, ``copies`` times."""
+    target = pair.target
+    n_actions = target.n_actions
+    state = _equally_likely(target.initial[None, :], "initial")[0]
+    action_of = _equally_likely(pair.behavior, "behavior")
+    rows = target.transitions.toarray()
+    next_of = _equally_likely(rows, "transitions")
+    n_choices, n_moves = action_of.shape[1], next_of.shape[1]
+    total = copies * len(state) * (n_choices * n_moves) ** pair.steps
+    if total > MAX_EPISODES:
+        raise ArgumentError(
+            "pair",
+            f"must have at most {MAX_EPISODES} equally likely episodes for an exact"
+            f" log; it has {total} (fewer steps, or pair.log, which draws one)",
+        )
+    paths = np.zeros((len(state), 0, 3), dtype=np.int64)
+    for _ in range(pair.steps):
+        here = np.repeat(state, n_choices)
+        action = action_of[state].ravel()
+        arrival = next_of[here * n_actions + action].ravel()
+        step = np.stack(
+            [np.repeat(here, n_moves), np.repeat(action, n_moves), arrival], axis=1
+        )
+        paths = np.concatenate(
+            [np.repeat(paths, n_choices * n_moves, axis=0), step[:, None]], axis=1
+        )
+        state = arrival
+    paths = np.tile(paths, (copies, 1, 1))
+    ended = target.absorbing()
+    # an episode ends on its first arrival in an absorbing state, after at least a step
+    goes_on = np.cumsum(ended[paths[:, :, 2]], axis=1) - ended[paths[:, :, 2]] == 0
+    episode, timestep = np.nonzero(goes_on)
+    states, actions, next_states = paths[episode, timestep].T
+    rewards = target.rewards[states, actions]
+    if target.transition_rewards is not None:
+        table = target.transition_rewards.toarray()
+        rewards = table[states * n_actions + actions, next_states]
+    return Transitions(
+        states,
+        actions,
+        next_states,
+        rewards,
+        terminated=ended[next_states],
+        episode=episode,
+        timestep=timestep,
+        behavior_probability=pair.behavior[states, actions],
+    )
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
@@ -476,6 +585,38 @@ _PARTIAL = _RAGGED._replace(behavior=[[0.6, 0.4], [1.0, 0.0], [0.6, 0.4], [1.0, 
 _VIOLATED = _RAGGED._replace(
     simulator=[[[2, 2, 0, 6], [1, 2, 0, 7]], *_RAGGED.simulator[1:]]
 )
+# few episodes, all equally likely: ``exact_log`` has each of them
+_EXACT = _Pair(
+    simulator=[[[7, 3, 0], [0, 3, 7]], [[4, 0, 6], [8, 2, 0]]],
+    target=[[[5, 5, 0], [0, 5, 5]], [[5, 0, 5], [5, 5, 0]]],
+    rewards=[
+        [[4, -1, 2], [3, 7, -2]],
+        [[6, 1, -3], [2, 5, 9]],
+        [[0, 0, 0], [0, 0, 0]],
+    ],
+    initial=[0.75, 0.25, 0.0],
+    policy=[[0.8, 0.2], [0.3, 0.7], [1.0, 0.0]],
+    behavior=[[0.75, 0.25], [0.25, 0.75], [1.0, 0.0]],
+)
+# the same without a horizon: whatever is done, the second step ends in state 4
+_EXACT_ENDED = _Pair(
+    simulator=[
+        [[0, 0, 7, 3, 0], [0, 0, 0, 3, 7]],
+        [[0, 0, 4, 0, 6], [0, 0, 8, 2, 0]],
+        [[0, 0, 0, 0, 10]] * 2,
+        [[0, 0, 0, 0, 10]] * 2,
+    ],
+    target=[
+        [[0, 0, 5, 5, 0], [0, 0, 0, 5, 5]],
+        [[0, 0, 5, 0, 5], [0, 0, 5, 5, 0]],
+        [[0, 0, 0, 0, 10]] * 2,
+        [[0, 0, 0, 0, 10]] * 2,
+    ],
+    rewards=[[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [6.0, 1.0], [0.0, 0.0]],
+    initial=[0.75, 0.25, 0.0, 0.0, 0.0],
+    policy=[[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [0.4, 0.6], [1.0, 0.0]],
+    behavior=[[0.75, 0.25], [0.25, 0.75], [0.5, 0.5], [0.25, 0.75], [1.0, 0.0]],
+)
 # discount, horizon, steps
 _MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {
     "ragged": (_RAGGED, 0.9, 6, 6),
@@ -488,6 +629,8 @@ _MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {
     "partial infinite": (_PARTIAL, 0.5, None, 60),
     "violated": (_VIOLATED, 0.9, 6, 6),
     "violated infinite": (_VIOLATED, 0.9, None, 6),
+    "exact": (_EXACT, 0.9, 3, 3),
+    "exact infinite": (_EXACT_ENDED, 0.8, None, 2),
 }
 CASES = tuple(_MADE)
 

@@ -2,9 +2,10 @@
 
 Every estimator owes well-formed answers, no side effects, and no number without
 support. Of the laws about values the first five compare the mean over independent logs
-with a number that is known exactly: the estimator's own limit, or J in the target. The
-other five compare two estimates of which one determines the other: renamed states,
-other units of reward, rows without information.
+with a number that is known exactly: the estimator's own limit, or J in the target. So
+does ``exact``, on a log without chance. The other five compare two estimates of which
+one determines the other: renamed states, other units of reward, rows without
+information.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import pickle
 import random
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +34,7 @@ from oee_tabular.testing.subject import (
     call,
     on_cases,
     shorten,
+    value_of,
 )
 from oee_tabular.typing import Array, PolicyLike
 
@@ -50,6 +53,10 @@ FEW_EPISODES = 40
 SCALE = -2.5
 SHIFT = 3.0
 SEEDS = 16
+# of exact data: transitions of each pair, and how often a second log repeats the first
+N_EXACT = 10**9
+COPIES = 16
+MOST_ERRORS = 5.0  # standard errors that the mean over seeds may be off
 # of the logs of odd problems, and of those that look at side effects
 ODD_EPISODES = 20
 PROTOCOL_EPISODES = 200
@@ -84,9 +91,9 @@ def well_formed(subject: Subject) -> str:
 def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
     """Yield logs of the odd cases; of others one episode, or no episodes."""
     for k, pair in enumerate(odd_cases()):
-        yield pair, pair.log(ODD_EPISODES, seed=subject.log_seed("odd", k))
+        yield pair, subject.draw_log(pair, ODD_EPISODES, "odd", k)
     for pair in subject.cases("ragged", "ragged infinite"):
-        yield pair, pair.log(1, seed=subject.log_seed("odd", "one episode"))
+        yield pair, subject.draw_log(pair, 1, "odd", "one episode")
         yield (
             pair,
             pair.log(ODD_EPISODES, seed=subject.log_seed("odd", "no episodes")).draw(
@@ -100,7 +107,9 @@ def input_unchanged(subject: Subject, pair: Case) -> str:
     """Problem, log, simulator and policy are after the call what they were, to the bit
     (their arrays made writable).
     """
-    problem = pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name))
+    log = subject.draw_log(pair, PROTOCOL_EPISODES, "input", pair.name)
+    subject.seen.log = log
+    problem = pair.problem_of(log)
     policy = pair.policy.copy()
     fields = {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
     arrays = dict(_arrays(problem, policy))
@@ -152,7 +161,8 @@ def reproducible(subject: Subject, pair: Case) -> str:
     """The same seed gives the same bits, whatever the global random state, which it
     leaves alone.
     """
-    log = pair.log(PROTOCOL_EPISODES, seed=subject.log_seed("reproducible", pair.name))
+    log = subject.draw_log(pair, PROTOCOL_EPISODES, "reproducible", pair.name)
+    subject.seen.log = log
     first, second = (_estimate_in_state(subject, pair, log, state) for state in (1, 2))
     for name in ("value", "standard_error"):
         values = getattr(first, name), getattr(second, name)
@@ -197,7 +207,7 @@ def seeds(subject: Subject, pair: Case) -> str:
     """
     if "random" in subject.claims:
         raise NotClaimed("it claims to be random")
-    log = pair.log(PROTOCOL_EPISODES, seed=subject.log_seed("seeds"))
+    log = subject.draw_log(pair, PROTOCOL_EPISODES, "seeds")
     values = [subject.value(pair, log, seed=seed) for seed in range(4)]
     if len(set(values)) > 1:
         shown = ", ".join(f"{value:.8g}" for value in values)
@@ -230,7 +240,7 @@ def support(subject: Subject, pair: Case) -> str:
 def _check_oracle(subject: Subject, pair: Case) -> str:
     """Check an estimator made for the violating pair, on a log without violation."""
     inside = replace(pair, target=pair.simulator)
-    log = inside.log(PROTOCOL_EPISODES, seed=subject.log_seed("support"))
+    log = subject.draw_log(inside, PROTOCOL_EPISODES, "support")
     try:
         answer = subject.estimate(pair, log, 0)
     except Refused as refused:
@@ -300,7 +310,7 @@ def ragged(subject: Subject, pair: Case) -> str:
 @on_cases("ragged", "moves")
 def unbiased(subject: Subject, pair: Case) -> str:
     """The mean over many logs of few episodes is J_target within 4 standard errors."""
-    logs = pair.logs(FEW, MANY, seed=subject.log_seed(pair.name, FEW))
+    logs = subject.draw_logs(pair, FEW, MANY, pair.name, FEW)
     values: Array = np.array(
         [subject.value(pair, log, seed=k) for k, log in enumerate(logs)]
     )
@@ -312,6 +322,7 @@ def unbiased(subject: Subject, pair: Case) -> str:
     )
     allowed = N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth))
     if distance <= allowed:
+        subject.seen.tolerances.append(allowed / (abs(pair.truth) or 1.0))
         return f"{numbers}, tolerance {allowed:.2g}"
     does_vary = error > 1e-12 * abs(mean)
     off_by = (
@@ -332,16 +343,18 @@ def relabelling(subject: Subject, pair: Case) -> str:
     """
     states = np.roll(np.arange(pair.simulator.n_states), 1)
     actions = np.arange(pair.simulator.n_actions)[::-1].copy()
-    log = pair.log(EPISODES, seed=subject.log_seed("relabelling", pair.name))
-    runs = (
-        (pair, log),
-        (pair.relabelled(states, actions), relabelled_log(log, states, actions)),
-    )
-    before, after = (subject.value(*run) for run in runs)
+    log = subject.draw_log(pair, EPISODES, "relabelling", pair.name)
     permutations = f"{states.tolist()}, {actions.tolist()}"
+    renamed = subject.seen.remember(
+        relabelled_log(log, states, actions),
+        # those that draw the log are the case's own, not the renamed ones
+        f"oee.testing.relabelled_log({_of_case(subject, pair, log)}, {permutations})",
+    )
+    runs = ((pair, log), (pair.relabelled(states, actions), renamed))
+    before, after = (subject.value(*run) for run in runs)
     example = f"pair.relabelled({permutations}) and relabelled_log(log, {permutations})"
     try:
-        return _equals(after, before, before, "value after renaming", example)
+        return _equals(subject, after, before, before, "value after renaming", example)
     except Broken:
         first, second = (
             np.array(
@@ -351,7 +364,9 @@ def relabelling(subject: Subject, pair: Case) -> str:
         )
         if np.ptp(first) == 0.0 and np.ptp(second) == 0.0:  # the seed does not matter
             raise
-        return _have_same_mean(first, second, "before and after renaming", example)
+        return _have_same_mean(
+            subject, first, second, "before and after renaming", example
+        )
 
 
 @on_cases("ragged", "ragged infinite", "moves")
@@ -396,6 +411,133 @@ def after_end(subject: Subject, pair: Case) -> str:
     )
 
 
+def _of_case(subject: Subject, pair: Case, log: Transitions) -> str:
+    """Return how a log is made anew, with the target and behaviour of a named case."""
+    recipe = subject.seen.recipe(log)
+    for name in ("target", "behavior"):
+        recipe = recipe.replace(f"{name},", f"oee.testing.case({pair.name!r}).{name},")
+    return recipe
+
+
+# ---- exact data
+
+
+@on_cases("exact", "exact infinite")
+def exact(subject: Subject, pair: Case) -> str:
+    """On a log that has every episode as often as it is probable the value is J_target
+    (else its limit), to the tolerance that it declares, or 1e-6 of the value.
+
+    An estimator that draws may be off by five standard errors of its mean over seeds.
+    One with a prior is given 10^9 transitions a pair as ``problem.counts``, or 16 times
+    as many episodes: it may be off by a third of what they change.
+    """
+    if "consistent" not in subject.claims:
+        try:
+            own = subject.limit(pair, **_data(pair))
+        except Refused as refused:
+            return f"refused ({shorten(refused.text, 60)})"
+        if own is None:
+            raise NotClaimed("it does not claim consistent, and has no limit")
+    try:
+        return _is_exact(subject, pair)
+    except Raises:
+        raise
+    except Broken as broken:
+        # the shortest horizon at which it is broken is easiest to look at
+        for horizon in range(1, pair.horizon or 1):
+            short = replace(pair, horizon=horizon, steps=horizon)
+            try:
+                _is_exact(subject, short)
+            except Broken as shorter:
+                raise Broken(
+                    f"{broken.text}; already at horizon {horizon}: {shorter.text}",
+                    _exact_example(horizon),
+                ) from shorter
+        _is_exact(subject, pair)  # it is what was seen last
+        raise
+
+
+def _exact_example(horizon: int | None) -> str:
+    """Return how an exact case is seen again."""
+    short = f"dataclasses.replace(pair, horizon={horizon}, steps={horizon})"
+    return (
+        f"{'pair' if horizon is None else f'pair = {short}'};"
+        " estimator(pair.problem_of(pair.exact_log()), pair.policy, seed=0)"
+    )
+
+
+def _is_exact(subject: Subject, pair: Case) -> str:
+    """Return a sentence with the numbers, or raise ``Broken``."""
+    goal, what = pair.truth, "J_target"
+    if "consistent" not in subject.claims:
+        own = subject.limit(pair, **_data(pair))
+        assert own is not None
+        goal, what = own, "its limit"
+    unit = abs(goal) or 1.0
+    log = subject.seen.remember(
+        pair.exact_log(), f"oee.testing.case({pair.name!r}).exact_log()"
+    )
+    problem = replace(pair.problem_of(log), simulator_data="exact")
+    value, chance = _mean_of_seeds(subject, pair, log, problem)
+    data = f"{log.n_episodes} episodes, each as frequent as probable"
+    allowed = subject.tolerance * unit + chance
+    if not abs(value - goal) <= allowed:
+        many = None
+        with suppress(Broken):
+            many = _mean_of_seeds(
+                subject,
+                pair,
+                log,
+                replace(problem, _counts=N_EXACT * pair.target.transitions),
+            )
+        if many is not None and abs(many[0] - goal) <= (
+            subject.tolerance * unit + many[1]
+        ):
+            value, chance = many
+            allowed = subject.tolerance * unit + chance
+            data = f"counts of {N_EXACT:.0e} transitions a pair"
+        else:
+            larger = pair.exact_log(COPIES)
+            again = replace(pair.problem_of(larger), simulator_data="exact")
+            second, second_chance = _mean_of_seeds(subject, pair, larger, again)
+            subject.seen.log = log
+            allowed = subject.tolerance * unit + second_chance
+            allowed += max(abs(value - second) - chance, 0.0) / 3.0
+            value = second
+            data = f"{larger.n_episodes} episodes, each as frequent as probable"
+    numbers = f"{value:.8g} of {data}, {what} {goal:.8g}"
+    if abs(value - goal) <= allowed:
+        subject.seen.tolerances.append(allowed / unit)
+        return f"{numbers}, tolerance {allowed / unit:.1g} of it"
+    raise Broken(
+        f"{numbers}: off by {abs(value - goal) / unit:.2g} of it, tolerance"
+        f" {allowed / unit:.1g}",
+        _exact_example(None),
+    )
+
+
+def _mean_of_seeds(
+    subject: Subject, pair: Case, log: Transitions, problem: Problem
+) -> tuple[float, float]:
+    """Return the mean value over seeds that matter, and five standard errors of it."""
+    seeds = SEEDS if "random" in subject.claims else 1
+    values: Array = np.array(
+        [
+            value_of(
+                subject.estimate_problem(
+                    pair, log, problem, seed, rollouts=ROLLOUTS[LARGE]
+                ),
+                seed,
+            )
+            for seed in range(seeds)
+        ]
+    )
+    if np.ptp(values) == 0.0:
+        return float(values[0]), 0.0
+    error = float(values.std(ddof=1) / np.sqrt(seeds))
+    return float(values.mean()), MOST_ERRORS * error
+
+
 # ---- does the mean of an estimator's values tend to a number?
 
 
@@ -408,7 +550,7 @@ def _tends_to_truth(subject: Subject, pair: Case) -> str:
                 "estimator.limit(pair.simulator, pair.target, pair.policy,"
                 f" horizon={pair.horizon})"
             )
-            _equals(own, pair.truth, own, "its limit is not J_target", example)
+            _equals(subject, own, pair.truth, own, "its limit is not J_target", example)
     return _tends_to(subject, pair, pair.truth, "J_target")
 
 
@@ -442,6 +584,7 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
     allowed += abs(float(small.mean()) - mean) / 3.0 if len(small) else 0.0
     numbers = f"mean {mean:.5g} (of {n} logs of {LARGE} episodes), {what} {goal:.5g}"
     if abs(mean - goal) <= allowed:
+        subject.seen.tolerances.append(allowed / (abs(goal) or 1.0))
         return f"{numbers}, tolerance {allowed:.2g}"
     truth = "" if goal == pair.truth else f", J_target {pair.truth:.5g}"
     raise Broken(
@@ -456,9 +599,7 @@ def _draw_values(
 ) -> Array:
     """Return values of independent logs of ``n`` episodes; small logs may have none."""
     values = []
-    for k, log in enumerate(
-        pair.logs(n, repetitions, seed=subject.log_seed(pair.name, n))
-    ):
+    for k, log in enumerate(subject.draw_logs(pair, n, repetitions, pair.name, n)):
         try:
             values.append(
                 subject.value(pair, log, seed=first_seed + k, rollouts=ROLLOUTS[n])
@@ -477,12 +618,21 @@ def _chance(error: float, n: int) -> float:
 # ---- two estimates
 
 
+ROUNDING = 1e-8  # share of a number by which an equal one may differ
+
+
 def _equals(
-    value: float, expected: float, before: float, what: str, example: str
+    subject: Subject,
+    value: float,
+    expected: float,
+    before: float,
+    what: str,
+    example: str,
 ) -> str:
     """Raise ``Broken`` where two numbers differ by more than rounding."""
     distance = abs(value - expected)
-    if not distance <= 1e-8 * max(1.0, abs(expected)):
+    subject.seen.tolerances.append(ROUNDING)
+    if not distance <= ROUNDING * max(1.0, abs(expected)):
         raise Broken(
             f"{what}: {value:.10g}, expected {expected:.10g} (off by {distance:.2g})",
             example,
@@ -492,13 +642,16 @@ def _equals(
     )
 
 
-def _have_same_mean(first: Array, second: Array, what: str, example: str) -> str:
+def _have_same_mean(
+    subject: Subject, first: Array, second: Array, what: str, example: str
+) -> str:
     """Raise ``Broken`` where two samples' means differ by more than chance allows."""
     n = len(first)
     allowed = (
         _chance(float(np.sqrt((first.var(ddof=1) + second.var(ddof=1)) / n)), n) + 1e-9
     )
     distance = abs(float(first.mean() - second.mean()))
+    subject.seen.tolerances.append(allowed / (abs(float(first.mean())) or 1.0))
     numbers = f"{what}: means {first.mean():.5g} and {second.mean():.5g} over {n} seeds"
     if not distance <= allowed:
         raise Broken(
@@ -511,10 +664,14 @@ def _compare_rewards(
     subject: Subject, pair: Case, n: int, factor: float, added: float
 ) -> str:
     """Check that rewards factor * r + added give factor * J + added * sum_t gamma^t."""
-    log = pair.log(n, seed=subject.log_seed("rewards", pair.name))
+    log = subject.draw_log(pair, n, "rewards", pair.name)
     columns = log.columns()
     gamma = pair.simulator.discount
-    other = Transitions(**(columns | {"reward": factor * columns["reward"] + added}))
+    other = subject.seen.remember(
+        Transitions(**(columns | {"reward": factor * columns["reward"] + added})),
+        # the case's rewards are factor * r + added as well
+        subject.seen.recipe(log),
+    )
     total = (
         1.0 / (1.0 - gamma)
         if pair.horizon is None
@@ -524,17 +681,21 @@ def _compare_rewards(
     after = subject.value(pair.with_rewards(factor, added), other)
     example = f"pair.with_rewards({factor}, {added}), and the same of log.reward"
     what = f"value of rewards {factor:g} r + {added:g}"
-    return _equals(after, factor * before + added * total, before, what, example)
+    expected = factor * before + added * total
+    return _equals(subject, after, expected, before, what, example)
 
 
 def _compare_padding(
     subject: Subject, pair: Case, actions: tuple[int, ...], probability: float
 ) -> str:
     """Check that rows in an absorbing state after an episode's end change nothing."""
-    log = pair.log(EPISODES, seed=subject.log_seed("padding", pair.name))
+    log = subject.draw_log(pair, EPISODES, "padding", pair.name)
     before = subject.value(pair, log)
-    after = subject.value(pair, padded_log(log, actions, probability))
-    example = f"padded_log(pair.log({EPISODES}, seed=0), {actions}, {probability})"
-    return _equals(
-        after, before, before, f"value with {len(actions)} rows after each end", example
+    padded = subject.seen.remember(
+        padded_log(log, actions, probability),
+        f"oee.testing.padded_log({subject.seen.recipe(log)}, {actions}, {probability})",
     )
+    after = subject.value(pair, padded)
+    example = f"padded_log(pair.log({EPISODES}, seed=0), {actions}, {probability})"
+    what = f"value with {len(actions)} rows after each end"
+    return _equals(subject, after, before, before, what, example)

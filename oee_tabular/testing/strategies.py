@@ -4,7 +4,8 @@ Everything is made of small integers: probabilities are small weights over their
 with exact zeros and many ties; rewards are integers from -5 to 5. Examples shrink
 towards one state, one action, discount 0 and even chances. Nothing is filtered. At
 discount 1 every state has a chance to end whatever is done (the last state is absorbing
-with reward 0), so that the infinite sum exists for every policy.
+with reward 0), so that the infinite sum exists for every policy. Hypothesis prints what
+is drawn as code of ``np`` and ``oee`` that evaluates to it.
 
 Needs hypothesis: ``pip install '.[testing]'``.
 """
@@ -21,10 +22,12 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.testing.code import as_code
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
 try:
     from hypothesis import strategies as st
+    from hypothesis.vendor import pretty
 except ImportError as error:  # pragma: no cover (tested in a process without it)
     raise ImportError(
         "oee_tabular.testing.strategies needs hypothesis, which is not installed; in a"
@@ -163,10 +166,13 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     """
     _checks.boolean(zeros, "zeros")
     model = _checks.instance(mdp, FiniteMDP, "mdp")
-    rows = _rows(model.n_actions, [] if zeros else range(model.n_actions))
-    return st.lists(rows, min_size=model.n_states, max_size=model.n_states).map(
-        np.array
-    )
+    row = _rows(model.n_actions, [] if zeros else range(model.n_actions))
+
+    @st.composite
+    def draw_rows(draw: st.DrawFn) -> list[list[float]]:
+        return [draw(row).tolist() for _ in range(model.n_states)]
+
+    return draw_rows().map(_array)
 
 
 @suggest_keywords
@@ -399,6 +405,32 @@ def logs(
         return Transitions(states, actions, next_states, **columns)
 
     return draw_log()
+
+
+def _array(rows: list[list[float]]) -> Array:
+    """Return rows as an array; Hypothesis prints the call by the function's name."""
+    return np.array(rows)
+
+
+_array.__name__ = "np.array"
+
+
+def _print_as_code(
+    value: object, printer: pretty.RepresentationPrinter, is_cycle: bool
+) -> None:
+    """Print an example of Hypothesis as code, or as usual if it is large."""
+    try:
+        text = as_code(value)
+    except ArgumentError:
+        text = repr(value)
+    for k, line in enumerate(text.split("\n")):
+        if k:
+            printer.break_()
+        printer.text(line)
+
+
+pretty.for_type(FiniteMDP, _print_as_code)
+pretty.for_type(Transitions, _print_as_code)
 
 
 def _rewards_of(

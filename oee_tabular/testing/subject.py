@@ -30,6 +30,7 @@ from oee_tabular.estimators.functions import as_estimator, is_number
 from oee_tabular.exceptions import AnswerError, ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
+from oee_tabular.testing.code import program
 from oee_tabular.typing import Array
 
 CLAIMS: Mapping[str, str] = {
@@ -61,6 +62,12 @@ CLAIMS: Mapping[str, str] = {
         "it answers problems without a horizon; claimed without finite, those alone"
     ),
 }
+# what no law looks at
+UNTESTED = (
+    "whether standard errors and intervals are right",
+    "rewards that the log alone has",
+    "more than 5 states",
+)
 DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
 
@@ -136,6 +143,12 @@ class Verdict:
         The numbers found.
     example : str
         How to see it again.
+    code : str
+        Where it does not hold: its case as a program, whose ``estimator(problem,
+        policy)`` breaks the law. Simulator, target, policy and behaviour are written
+        out; so is the log, or how it is made again if it is long.
+    tolerance : float, optional
+        The largest error, as a share of the value, at which the law holds.
 
     Examples
     --------
@@ -152,6 +165,8 @@ class Verdict:
     outcome: str
     text: str
     example: str = ""
+    code: str = ""
+    tolerance: float | None = None
 
 
 @checked()
@@ -203,12 +218,38 @@ class Verdicts(Mapping[str, Verdict]):
 
     @property
     def conclusion(self) -> str:
-        """Return which laws are broken, or what all laws that hold leave open."""
+        """Return which laws are broken or hold, at what tolerance, and what is open.
+
+        It is one line.
+        """
         if self.broken:
-            return f"broken laws: {', '.join(self.broken)}"
-        if left := sorted(DEFAULT - self.claims):
-            return f"all laws hold that it claims; it does not claim {', '.join(left)}"
-        return "all laws hold"
+            text = f"broken laws: {', '.join(self.broken)}"
+        elif left := sorted(DEFAULT - self.claims):
+            text = f"all laws hold that it claims; it does not claim {', '.join(left)}"
+        else:
+            text = "all laws hold"
+        held = [
+            f"{verdict.law} {_show_share(verdict.tolerance)}"
+            for verdict in self.verdicts.values()
+            if verdict.outcome == "holds" and verdict.tolerance is not None
+        ]
+        if held:
+            text += f"; to what share of the value: {', '.join(held)}"
+        return f"{text}; not tested: {', '.join(self.untested)}"
+
+    @property
+    def untested(self) -> tuple[str, ...]:
+        """Return what the laws leave open: laws not run, and what no law looks at."""
+        idle = {
+            law: verdict.outcome
+            for law, verdict in self.verdicts.items()
+            if verdict.outcome in ("not claimed", "not run")
+        }
+        rests = [f"{law} ({outcome})" for law, outcome in idle.items()]
+        for word, other in (("finite", "infinite"), ("infinite", "finite")):
+            if word in self.claims and other not in self.claims:
+                rests.append(f"{'no' if word == 'finite' else 'a'} horizon")
+        return (*rests, *UNTESTED)
 
     def __getitem__(self, law: str) -> Verdict:
         """Return the verdict on a law; a KeyError where there is none."""
@@ -245,12 +286,23 @@ class Verdicts(Mapping[str, Verdict]):
             body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
             lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
             lines += [" " * 28 + line for line in body[1:-1]]
+        for law in self.broken:
+            if code := self.verdicts[law].code:
+                lines.append(f"# a case of {law} (verdicts[law].code has the others)")
+                lines.append(code)
+                break
         return "\n".join(lines)
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
         return _printing.text(self, "Laws of estimators")
+
+
+def _show_share(share: float | None) -> str:
+    """Write a tolerance: percents, or a power of ten where it is rounding alone."""
+    assert share is not None
+    return f"{share:.2g}" if share < 1e-3 else f"{share:.1%}"
 
 
 class Broken(Exception):
@@ -284,6 +336,105 @@ def ignore(title: str) -> None:
     """Do nothing with the title of a case."""
 
 
+TOLERANCE = 1e-6  # share of the value, of an estimator that declares none
+
+
+@suggest_keywords
+def tolerance_of(estimator: Any, tolerance: float | None = None) -> float:
+    """Return by what share of the value an estimator may be off on exact data.
+
+    Parameters
+    ----------
+    estimator : object
+        Any object; its attribute ``tolerance`` is taken where no number is given.
+    tolerance : float, optional
+        The share, above 0 and below 1.
+
+    Returns
+    -------
+    float
+        The number that is given, else the estimator's own, else 1e-6.
+
+    Raises
+    ------
+    ValueError
+        If it is no number in (0, 1).
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> tolerance_of(Simulator()), tolerance_of(Simulator(), 1e-3)
+    (1e-06, 0.001)
+    """
+    name = "tolerance"
+    share: Any = tolerance
+    if share is None:
+        name = f"{type(estimator).__name__}.tolerance"
+        share = getattr(estimator, "tolerance", None)
+    if share is None:
+        return TOLERANCE
+    return _checks.number_in(share, name, 0.0, 1.0, open_ends=True)
+
+
+@dataclass
+class Seen:
+    """Hold what a law has looked at last, for the message that it is broken.
+
+    Attributes
+    ----------
+    pair : Case or None
+        The last case.
+    log : Transitions or None
+        The last log.
+    recipes : dict of int to (Transitions, str)
+        By the identities of logs, the logs and expressions that make them anew.
+    tolerances : list of float
+        Largest errors, as shares of the value, at which a comparison was right.
+    """
+
+    pair: Case | None = None
+    log: Transitions | None = None
+    recipes: dict[int, tuple[Transitions, str]] = field(default_factory=dict)
+    tolerances: list[float] = field(default_factory=list)
+
+    def clear(self) -> None:
+        """Forget everything, before the next law."""
+        self.pair = self.log = None
+        self.recipes.clear()
+        self.tolerances.clear()
+
+    def remember(self, log: Transitions, recipe: str) -> Transitions:
+        """Keep how a log is made anew, and return the log."""
+        self.recipes[id(log)] = (log, recipe)
+        return log
+
+    def recipe(self, log: Transitions) -> str:
+        """Return how a log is made anew, or an empty text."""
+        return self.recipes.get(id(log), (log, ""))[1]
+
+    def program(self) -> str:
+        """Return the case as a program, or an empty text without one."""
+        pair = self.pair
+        if pair is None:
+            return ""
+        parts: dict[str, object] = {
+            "simulator": pair.simulator,
+            "target": pair.target,
+            "policy": pair.policy,
+            "behavior": pair.behavior,
+        }
+        goal = f"oee.policy_value(target, policy, horizon={pair.horizon})"
+        if self.log is None:
+            return f"{program(parts, {})}\ntruth = {goal}"
+        recipe = self.recipe(self.log)
+        parts["log"] = self.log
+        return (
+            f"{program(parts, {'log': recipe} if recipe else {})}\n"
+            f"problem = oee.Problem(simulator, log, horizon={pair.horizon},"
+            f" behavior_policy=behavior)\ntruth = {goal}"
+        )
+
+
 @dataclass(frozen=True)
 class Subject:
     """Hold the estimator under check.
@@ -305,8 +456,12 @@ class Subject:
         Whether ``make`` looks at the pair.
     report : callable
         Function that is told each case before it is looked at.
+    tolerance : float
+        Share of the value by which an answer to exact data may be off.
     values : dict
         Values of small and of large logs by case, which several laws need.
+    seen : Seen
+        What the law that is being checked has looked at.
     """
 
     name: str
@@ -316,7 +471,9 @@ class Subject:
     repetitions: int
     is_oracle: bool = False
     report: Callable[[str], object] = ignore
+    tolerance: float = TOLERANCE
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    seen: Seen = field(default_factory=lambda: Seen())
 
     def cases(self, *names: str) -> list[Case]:
         """Return the cases, in the form that the estimator claims to answer.
@@ -335,6 +492,8 @@ class Subject:
     def look_at(self, pair: Case, more: str = "", example: str = "") -> Iterator[None]:
         """Report the case, and let a ``Broken`` name it."""
         self.report(pair.title)
+        self.seen.pair = pair
+        self.seen.log = None
         try:
             yield
         except NotClaimed:
@@ -350,6 +509,34 @@ class Subject:
         key = [zlib.crc32(str(word).encode()) for word in words]
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
+    def draw_log(self, pair: Case, n: int, *words: object) -> Transitions:
+        """Draw a log of ``n`` episodes with the seed of ``words``.
+
+        How it is made anew is kept.
+        """
+        seed = self.log_seed(*words)
+        return self.seen.remember(
+            pair.log(n, seed=seed),
+            f"oee.sample_episodes(target, behavior, {n}, {pair.steps},"
+            f" seed={_show_seed(seed)})",
+        )
+
+    def draw_logs(
+        self, pair: Case, n: int, repetitions: int, *words: object
+    ) -> Iterator[Transitions]:
+        """Draw independent logs of ``n`` episodes each, one after the other.
+
+        How the present one is made anew is kept.
+        """
+        seed = self.log_seed(*words)
+        for k, log in enumerate(pair.logs(n, repetitions, seed=seed)):
+            self.seen.recipes.clear()
+            yield self.seen.remember(
+                log,
+                f"list(oee.testing.case({pair.name!r}).logs({n}, {repetitions},"
+                f" seed={_show_seed(seed)}))[{k}]",
+            )
+
     def estimator(self, pair: Case) -> Any:
         """Return the estimator for a pair, made on copies of it."""
         with capture_errors("making the estimator"):
@@ -363,6 +550,22 @@ class Subject:
         ``rollouts`` is how many there are at least, for an estimator that has such a
         field.
         """
+        return self.estimate_problem(
+            pair, log, pair.problem_of(log), seed, rollouts=rollouts
+        )
+
+    def estimate_problem(
+        self,
+        pair: Case,
+        log: Transitions,
+        problem: Problem,
+        seed: int,
+        *,
+        rollouts: int = 0,
+    ) -> Estimate:
+        """Return one well-formed estimate of a problem of a case and a log of it."""
+        self.seen.pair = pair
+        self.seen.log = log
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
         if rollouts and isinstance(own, int) and dataclasses.is_dataclass(estimator):
@@ -370,18 +573,13 @@ class Subject:
                 estimator = dataclasses.replace(
                     estimator, n_rollouts=max(own, rollouts)
                 )  # type: ignore[type-var]
-        return call(estimator, pair.problem_of(log), pair.policy.copy(), seed)
+        return call(estimator, problem, pair.policy.copy(), seed)
 
     def value(
         self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int = 0
     ) -> float:
         """Return the value of one estimate; raise ``Broken`` if its status is not "ok"."""
-        estimate = self.estimate(pair, log, seed, rollouts=rollouts)
-        if estimate.status != "ok":
-            raise Broken(
-                f"no value: status {shorten(estimate.status)!r}", f"seed={seed}"
-            )
-        return float(estimate.value)
+        return value_of(self.estimate(pair, log, seed, rollouts=rollouts), seed)
 
     def limit(self, pair: Case, **data: object) -> float | None:
         """Return the estimator's own limit; None if it has none to tell."""
@@ -421,6 +619,19 @@ def on_cases(
         return check_cases
 
     return repeat
+
+
+def value_of(estimate: Estimate, seed: int) -> float:
+    """Return the value of an estimate, or raise ``Broken`` if its status is not "ok"."""
+    if estimate.status != "ok":
+        raise Broken(f"no value: status {shorten(estimate.status)!r}", f"seed={seed}")
+    return float(estimate.value)
+
+
+def _show_seed(seed: np.random.SeedSequence) -> str:
+    """Write a seed as code."""
+    key = tuple(int(word) for word in seed.spawn_key)
+    return f"np.random.SeedSequence({seed.entropy}, spawn_key={key})"
 
 
 def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate:
