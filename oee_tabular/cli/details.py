@@ -188,7 +188,7 @@ JSON_KEYS = {
     "info": "version, file, kind, text",
     "reproduce": "version, lines",
     "bench": "version, lines",
-    "check": "version, estimator, passed, seed, laws",
+    "check": "version, estimator, passed, seed, conclusion, laws",
 }
 
 

@@ -1056,8 +1056,10 @@ def check(
     """Check an estimator of yours against the laws.
 
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold,
-    else 1. Where it is 0, the last line is "all laws hold", or names the default laws
-    that the estimator does not claim.
+    else 1. Where it is 0, the last line begins with "all laws hold", or names the
+    default laws that the estimator does not claim. It says at what tolerance each law
+    holds, and what was not tested. Where it is 1, a case of a broken law stands before
+    it as code.
     """
     from oee_tabular.testing.conformance import check_module
 
@@ -1066,18 +1068,23 @@ def check(
         estimator, seed=seed, repetitions=repetitions, timeout=timeout
     )
     laws = [
-        {"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example}
+        {
+            "law": v.law,
+            "outcome": v.outcome,
+            "text": v.text,
+            "example": v.example,
+            "code": v.code,
+            "tolerance": v.tolerance,
+        }
         for v in verdicts.values()
     ]
     record = {
         "estimator": verdicts.estimator,
         "passed": verdicts.passed,
         "seed": seed,
+        "conclusion": verdicts.conclusion,
         "laws": laws,
     }
-    text = str(verdicts)
-    if verdicts.passed:
-        text += f"\n{verdicts.conclusion}"
-    print_result(text, record, as_json)
+    print_result(f"{verdicts}\n{verdicts.conclusion}", record, as_json)
     if not verdicts.passed:
         raise typer.Exit(1)

@@ -585,7 +585,7 @@ _PARTIAL = _RAGGED._replace(behavior=[[0.6, 0.4], [1.0, 0.0], [0.6, 0.4], [1.0, 
 _VIOLATED = _RAGGED._replace(
     simulator=[[[2, 2, 0, 6], [1, 2, 0, 7]], *_RAGGED.simulator[1:]]
 )
-# few episodes, all equally likely: ``exact_log`` has each of them
+# few episodes, all equally likely, which ``exact_log`` has; longer than the horizon
 _EXACT = _Pair(
     simulator=[[[7, 3, 0], [0, 3, 7]], [[4, 0, 6], [8, 2, 0]]],
     target=[[[5, 5, 0], [0, 5, 5]], [[5, 0, 5], [5, 5, 0]]],
@@ -595,10 +595,12 @@ _EXACT = _Pair(
         [[0, 0, 0], [0, 0, 0]],
     ],
     initial=[0.75, 0.25, 0.0],
-    policy=[[0.8, 0.2], [0.3, 0.7], [1.0, 0.0]],
+    policy=[[0.3, 0.7], [0.8, 0.2], [1.0, 0.0]],
     behavior=[[0.75, 0.25], [0.25, 0.75], [1.0, 0.0]],
 )
-# the same without a horizon: whatever is done, the second step ends in state 4
+# the policy takes an action that is never recorded
+_EXACT_PARTIAL = _EXACT._replace(behavior=[[0.75, 0.25], [1.0, 0.0], [1.0, 0.0]])
+# without a horizon: whatever is done, the second step ends in state 4
 _EXACT_ENDED = _Pair(
     simulator=[
         [[0, 0, 7, 3, 0], [0, 0, 0, 3, 7]],
@@ -614,8 +616,11 @@ _EXACT_ENDED = _Pair(
     ],
     rewards=[[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [6.0, 1.0], [0.0, 0.0]],
     initial=[0.75, 0.25, 0.0, 0.0, 0.0],
-    policy=[[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [0.4, 0.6], [1.0, 0.0]],
+    policy=[[0.3, 0.7], [0.8, 0.2], [0.1, 0.9], [0.6, 0.4], [1.0, 0.0]],
     behavior=[[0.75, 0.25], [0.25, 0.75], [0.5, 0.5], [0.25, 0.75], [1.0, 0.0]],
+)
+_EXACT_ENDED_PARTIAL = _EXACT_ENDED._replace(
+    behavior=[[0.75, 0.25], [1.0, 0.0], [0.5, 0.5], [1.0, 0.0], [1.0, 0.0]]
 )
 # discount, horizon, steps
 _MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {
@@ -629,8 +634,10 @@ _MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {
     "partial infinite": (_PARTIAL, 0.5, None, 60),
     "violated": (_VIOLATED, 0.9, 6, 6),
     "violated infinite": (_VIOLATED, 0.9, None, 6),
-    "exact": (_EXACT, 0.9, 3, 3),
+    "exact": (_EXACT, 0.9, 2, 3),
     "exact infinite": (_EXACT_ENDED, 0.8, None, 2),
+    "exact partial": (_EXACT_PARTIAL, 0.9, 2, 3),
+    "exact partial infinite": (_EXACT_ENDED_PARTIAL, 0.8, None, 2),
 }
 CASES = tuple(_MADE)
 

@@ -246,9 +246,12 @@ class Verdicts(Mapping[str, Verdict]):
             if verdict.outcome in ("not claimed", "not run")
         }
         rests = [f"{law} ({outcome})" for law, outcome in idle.items()]
+        if "limit" in idle:
+            rests.append("pairs that were never recorded")
         for word, other in (("finite", "infinite"), ("infinite", "finite")):
             if word in self.claims and other not in self.claims:
-                rests.append(f"{'no' if word == 'finite' else 'a'} horizon")
+                form = "without" if word == "finite" else "with"
+                rests.append(f"problems {form} a horizon")
         return (*rests, *UNTESTED)
 
     def __getitem__(self, law: str) -> Verdict:
@@ -288,7 +291,9 @@ class Verdicts(Mapping[str, Verdict]):
             lines += [" " * 28 + line for line in body[1:-1]]
         for law in self.broken:
             if code := self.verdicts[law].code:
-                lines.append(f"# a case of {law} (verdicts[law].code has the others)")
+                lines.append(
+                    f"# where {law} is broken (verdicts[law].code has other laws)"
+                )
                 lines.append(code)
                 break
         return "\n".join(lines)

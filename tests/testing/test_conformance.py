@@ -1,3 +1,4 @@
+import dataclasses
 import re
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
+from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing import (
     CLAIMS,
     DEFAULT,
@@ -110,6 +112,125 @@ def test_a_wrong_estimator_breaks_the_laws_that_it_breaks_and_no_other(name):
         re.search(r"(horizon|discount) \d", verdicts[law].text)
         for law in verdicts.broken
     )
+
+
+@pytest.mark.parametrize("name", wrong.SLIGHTLY)
+def test_a_small_bias_is_found_and_nothing_else(name):
+    estimator, claims = wrong.SLIGHTLY[name]
+    biases = []
+    for pair in map(case, ("exact", "exact infinite")):
+        value = estimator(pair.problem_of(pair.exact_log()), pair.policy)
+        biases.append(abs(value / pair.truth - 1.0))
+    assert 2e-3 < max(biases) < 4e-2
+    verdicts = check_estimator(estimator, claims=claims.split())
+    assert verdicts.broken == ("exact",), verdicts
+    assert verdicts.conclusion.startswith("broken laws: exact; to what share of the")
+
+
+@pytest.mark.parametrize("name", wrong.SLIGHTLY)
+def test_the_code_of_a_broken_law_evaluates_to_a_case_that_breaks_it(name):
+    """The printed program is run as it stands."""
+    estimator, claims = wrong.SLIGHTLY[name]
+    verdict = check_estimator(estimator, claims=claims.split(), laws=["exact"])["exact"]
+    made = {}
+    exec(verdict.code, made)
+    value = estimator(made["problem"], made["policy"])
+    assert abs(value - made["truth"]) > 1e-3 * abs(made["truth"])
+    right = wrong.likely()(made["problem"], made["policy"])
+    assert right == pytest.approx(made["truth"], rel=1e-9)
+    assert len(verdict.code) < 12_000
+
+
+@pytest.mark.parametrize("name", wrong.TABLE)
+def test_the_code_of_every_broken_law_can_be_run(name):
+    """Long logs are made anew, to the bit: the wrong value is that of the law."""
+    estimator, claims, breaks = wrong.TABLE[name]
+    laws = breaks.split()
+    verdicts = check_estimator(estimator, claims=claims.split(), laws=laws)
+    for law in verdicts.broken:
+        made = {}
+        exec(verdicts[law].code, made)
+        assert np.isfinite(made["truth"])
+        assert len(verdicts[law].code) < 12_000
+        if law in ("scale", "shift", "relabelling", "padding"):
+            value = as_estimator(estimator)(made["problem"], made["policy"], seed=0)
+            assert f"{value.value:.6g}"[:6] in verdicts[law].text
+
+
+def test_the_right_estimators_of_a_user_are_exact():
+    """With a prior of their own, from counts and from the log's rows alone; with a
+    tolerance that they declare; with rollouts, whose five standard errors are allowed.
+    """
+    assert check_estimator(wrong.likely(), laws=["exact"])["exact"].tolerance == 1e-6
+    assert check_estimator(wrong.Shrunk(), laws=["exact"]).passed
+
+    def of_rows(problem, policy):
+        log = problem.log
+        bare = oee.Transitions(log.state, log.action, log.next_state)
+        return wrong.Shrunk()(
+            oee.Problem(problem.simulator, bare, problem.horizon), policy
+        ).value
+
+    found = check_estimator(of_rows, laws=["exact"])["exact"]
+    assert found.outcome == "holds"
+    assert 1e-6 < found.tolerance < 0.01
+
+    def roughly(problem, policy):
+        return 1.0003 * wrong.likely()(problem, policy)
+
+    assert check_estimator(roughly, laws=["exact"]).broken == ("exact",)
+    assert check_estimator(roughly, laws=["exact"], tolerance=1e-3).passed
+    roughly.tolerance = 1e-3
+    verdicts = check_estimator(roughly, laws=["exact"])
+    assert "exact 0.1%" in verdicts.conclusion
+    roughly.tolerance = 0.0
+    with pytest.raises(ValueError, match=r"function.tolerance must be in \(0, 1\)"):
+        check_estimator(roughly)
+
+    def drawn(problem, policy, seed):
+        generator = np.random.default_rng(seed)
+        return wrong.likely()(problem, policy) * (1 + 0.01 * generator.normal())
+
+    claims = {"consistent", "random"}
+    assert check_estimator(drawn, claims=claims, laws=["exact"]).passed
+    off = lambda problem, policy, seed: 1.05 * drawn(problem, policy, seed)  # noqa: E731
+    assert check_estimator(off, claims=claims, laws=["exact"]).broken == ("exact",)
+
+
+@pytest.mark.parametrize("name", ["exact", "exact infinite", "exact partial"])
+def test_an_exact_log_has_each_episode_as_often_as_it_is_probable(name):
+    pair = case(name)
+    log = pair.exact_log()
+    assert list(log.columns()) == list(pair.log(5, seed=0).columns())
+    counts = log.counts(pair.target.n_states, pair.target.n_actions).toarray()
+    seen = counts.sum(axis=1) > 0
+    np.testing.assert_array_equal(
+        counts[seen] / counts[seen].sum(axis=1, keepdims=True),
+        pair.target.transitions.toarray()[seen],
+    )
+    np.testing.assert_allclose(
+        counts.sum(axis=1) / counts.sum(), pair.data_distribution.ravel(), atol=1e-15
+    )
+    returns = np.add.reduceat(
+        log.reward * pair.target.discount**log.timestep, log.episode_starts[:-1]
+    )
+    assert returns.mean() == pytest.approx(
+        oee.policy_value(pair.target, pair.behavior, horizon=pair.steps), rel=1e-12
+    )
+    assert len(pair.exact_log(3)) == 3 * len(log)
+
+
+def test_a_case_without_an_exact_log_says_why():
+    with pytest.raises(
+        ValueError, match="pair must have at most 100000 equally likely"
+    ):
+        case("ragged").exact_log()
+    pair = case("exact")
+    odd = pair.behavior.copy()
+    odd[0] = [1 / 3, 2 / 3]
+    odd[1] = [1 / 67, 66 / 67]
+    with pytest.raises(ValueError, match="behavior must be multiples of 1/D"):
+        dataclasses.replace(pair, behavior=odd).exact_log()
 
 
 def test_functions_are_estimators():
@@ -230,7 +351,7 @@ def test_a_user_s_estimator_passes():
     assert verdicts["limit"].text == "it has no limit of its own"
     assert verdicts["padding"].outcome == "not claimed"
     first, second, *rows = str(verdicts).splitlines()
-    assert first == "Shrunk: passed (11 laws hold, 0 broken, 4 not claimed; seed 0)"
+    assert first == "Shrunk: passed (12 laws hold, 0 broken, 4 not claimed; seed 0)"
     assert second == "claims: consistent, relabelling, scale, shift"
     assert re.search(r"^shift +holds +moves: ", "\n".join(rows), re.M)
     assert max(map(len, rows)) <= 120
