@@ -17,7 +17,8 @@ Estimator               Value
                         it; with evaluation "monte_carlo" the mean over rollouts in P
                         of sum_t gamma^t W r_t.
 ``Oracle``              The same with the true zeta.
-``ModelBased``          J_f (fitted Q evaluation in a table).
+``ModelBased``          J_f: fitted Q evaluation in a table, whose unrecorded pairs
+                        stay, take the simulator's rows, or have Q = 0.
 ``ImportanceSampling``  The mean over episodes of sum_t gamma^t rho_t r_t (eq. 3.5).
 ``DoublyRobust``        J_P + sum d_m (f - P) (r + gamma V_P); with data "rollouts" or
                         "episodes" a mean of sums with control variates (Jiang and Li

@@ -20,12 +20,23 @@ from oee_tabular.estimators.base import (
     delta_error,
     learnable_shares,
 )
+from oee_tabular.estimators.findings import MIN_SHARE, Finding
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.exact import evaluate_policy, transition_gradient
+from oee_tabular.exact import evaluate_policy, policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, Csr
+
+# what stands for unrecorded pairs where it is not the simulator, said where the policy
+# spends time there
+ELSEWHERE = {
+    "stay": (
+        "in unrecorded state-action pairs its state never changes, so that a reward"
+        " there is paid for ever."
+    ),
+    "zero": "in unrecorded state-action pairs its Q stays 0, as if the task ended.",
+}
 
 
 @suggest_keywords
@@ -37,9 +48,12 @@ class ModelBased(TabularEstimator):
 
     Parameters
     ----------
-    fallback : {'stay', 'simulator'}, default 'stay'
-        The rows of unrecorded pairs: the state stays (with reward r(s, a, s) if the
-        simulator defines it, else its expected r(s, a)), or the simulator's.
+    fallback : {'stay', 'simulator', 'zero'}, default 'stay'
+        What happens in unrecorded pairs: the state stays (with reward r(s, a, s) if the
+        simulator defines it, else its expected r(s, a)); or what does in the simulator;
+        or everything ends without reward, so that their Q is 0. With 'simulator' it is
+        fitted Q evaluation whose unrecorded pairs take the simulator's update, with
+        'zero' fitted Q evaluation of the log alone, whose Q begins at 0.
 
     See Also
     --------
@@ -49,7 +63,9 @@ class ModelBased(TabularEstimator):
     -----
     The value converges to J of the target's rows where the log's distribution has mass,
     and of the fallback's elsewhere; it attains the efficiency bound. With full coverage
-    it equals off-environment evaluation without shrinkage. The standard error takes the
+    it equals off-environment evaluation without shrinkage, and fitted Q evaluation,
+    which iterates Q(s, a) <- mean of r + gamma sum_a' pi(a' | s') Q(s', a') over the
+    log: here the fixed point is solved for. The standard error takes the
     variance of a row's own frequencies, which is 0 in a row with one transition:
     ``diagnostics["single_share"]`` is the share of the policy's discounted time in such
     pairs (of several next states).
@@ -70,12 +86,16 @@ class ModelBased(TabularEstimator):
     10.07
     """
 
-    fallback: Literal["stay", "simulator"] = "stay"
+    fallback: Literal["stay", "simulator", "zero"] = "stay"
 
     def __post_init__(self) -> None:
-        _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
+        _checks.one_of(self.fallback, "fallback", ("stay", "simulator", "zero"))
 
-    claims = OF_COUNTS | {"consistent", "shift"}
+    @property
+    def claims(self) -> frozenset[str]:
+        """Return what it claims: a Q that stays 0 is not shifted with the rewards."""
+        own = OF_COUNTS | {"consistent"}
+        return own if self.fallback == "zero" else own | {"shift"}
 
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
@@ -98,19 +118,27 @@ class ModelBased(TabularEstimator):
         """
         model = self.model(problem)
         totals = row_sums(problem.counts)
-        result = evaluate_policy(model, policy, horizon=problem.horizon)
-        time = time_in_pairs(model, policy, problem.horizon)
-        shares = learnable_shares(problem, time)
+        wide = self._policy(policy)
+        result = evaluate_policy(model, wide, horizon=problem.horizon)
+        time = time_in_pairs(model, wide, problem.horizon)
+        shares = learnable_shares(problem, time[: len(policy)])
         covered = coverage(problem, shares, totals.reshape(policy.shape))
         n_successors = np.diff(problem.model.transitions.indptr)
         single = float(shares.reshape(-1)[(totals == 1) & (n_successors > 1)].sum())
         gradient = transition_gradient(
-            model, policy, horizon=problem.horizon, values=result.values, time=time
+            model, wide, horizon=problem.horizon, values=result.values, time=time
         )
-        delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
+        counted = np.pad(totals, (0, time.size - len(totals)))
+        delta = delta_error(
+            model.transitions, model.transitions.data, counted, gradient
+        )
         least = ROUNDING * max(abs(result.value), float(np.abs(model.rewards).max()))
         # an error of 0 is certain only where no pair has several next states
         error = delta if (n_successors <= 1).all() or delta > least else None
+        share = covered["unrecorded_share"]
+        warnings: tuple[Finding, ...] = ()
+        if share > MIN_SHARE and self.fallback in ELSEWHERE:
+            warnings = (Finding("elsewhere", share, ELSEWHERE[self.fallback]),)
         return Estimate(
             result.value,
             error,
@@ -121,6 +149,7 @@ class ModelBased(TabularEstimator):
                 "single_share": single,
                 "standard_error_of": "log",
             },
+            findings=warnings,
             measured=covered["coverage"] - single,
         )
 
@@ -139,10 +168,15 @@ class ModelBased(TabularEstimator):
         """
         keep = sparse.diags_array(population.support.astype(np.float64), format="csr")
         rows = sparse.csr_array(keep @ population.target.transitions)
-        return population.value(self._fill_rows(population.simulator, rows))
+        model = self._fill_rows(population.simulator, rows)
+        policy = self._policy(population.policy)
+        return policy_value(model, policy, horizon=population.horizon)
 
     def model(self, problem: Problem) -> FiniteMDP:
         """Return the model: the log's frequencies, and the fallback elsewhere.
+
+        With the fallback 'zero' it has a last state more, in which all actions stay
+        without reward, and to which unrecorded pairs lead.
 
         Parameters
         ----------
@@ -161,8 +195,17 @@ class ModelBased(TabularEstimator):
         )
         return self._fill_rows(problem.model, rows)
 
+    def _policy(self, policy: Array) -> Array:
+        """Return the policy in the states of the model."""
+        if self.fallback != "zero":
+            return policy
+        last = np.eye(policy.shape[1])[:1]
+        return np.concatenate([policy, last])
+
     def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
         """Return ``base`` with these rows, and the fallback's where they are 0."""
+        if self.fallback == "zero":
+            return _end_elsewhere(base, rows)
         size = rows.shape[0]
         empty = np.flatnonzero(row_sums(rows) == 0)
         ones = np.ones(len(empty))
@@ -193,3 +236,44 @@ class ModelBased(TabularEstimator):
             state_names=base.state_names,
             action_names=base.action_names,
         )
+
+
+def _end_elsewhere(base: FiniteMDP, rows: Csr) -> FiniteMDP:
+    """Return ``base`` with these rows; those that are 0 lead to a last state more.
+
+    Nothing is paid on the way to it, nor in it.
+    """
+    n = base.n_states
+    recorded = row_sums(rows) > 0
+    size = len(recorded) + base.n_actions
+    ends = np.flatnonzero(np.append(~recorded, np.ones(base.n_actions, dtype=bool)))
+    inside = rows.tocoo()
+    matrix = sparse.csr_array(
+        (
+            np.append(inside.data, np.ones(len(ends))),
+            (np.append(inside.row, ends), np.append(inside.col, np.full(len(ends), n))),
+        ),
+        shape=(size, n + 1),
+    )
+    matrix.sort_indices()
+    expected = np.where(recorded, base.rewards.reshape(-1), 0.0)
+    expected = np.append(expected, np.zeros(base.n_actions))
+    rewards: Array | Csr = expected.reshape(n + 1, base.n_actions)
+    if base.transition_rewards is not None:
+        own = base.transition_rewards.tocoo()
+        table = sparse.csr_array(
+            (own.data, (own.row, own.col)), shape=(size, n + 1), dtype=np.float64
+        )
+        data, defined = align(table, matrix)
+        data = np.where(defined, data, expected[row_of_entry(matrix)])
+        data[np.isin(row_of_entry(matrix), ends)] = 0.0
+        rewards = sparse.csr_array(
+            (data, matrix.indices, matrix.indptr), shape=matrix.shape
+        )
+    return FiniteMDP(
+        matrix,
+        rewards,
+        np.append(base.initial, 0.0),
+        base.discount,
+        terminal_state=base.terminal_state,
+    )

@@ -85,6 +85,17 @@ NAMED: Mapping[str, Named] = {
         "The policy's exact value in the log's frequencies. In an unrecorded pair the"
         " state never changes.",
     ),
+    "fqe": Named(
+        "ModelBased",
+        "Fitted Q evaluation, solved exactly: Q of a recorded pair is the log's mean of"
+        " r + discount * V(next state). Of an unrecorded pair it is the simulator's.",
+        {"fallback": "simulator"},
+    ),
+    "fqe-zero": Named(
+        "ModelBased",
+        "Fitted Q evaluation of the log alone: Q of an unrecorded pair stays 0.",
+        {"fallback": "zero"},
+    ),
     "is": Named(
         "ImportanceSampling",
         "Importance sampling: the log's returns, weighted by how much likelier the"
@@ -154,12 +165,10 @@ NAMED: Mapping[str, Named] = {
 
 # names from the literature: in a table each has the solution of an estimator above
 ALIASES: Mapping[str, str] = {
-    # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
-    "fqe": "model-based",
-    # minimax Q learning: the same equation, one moment for each pair
-    "mql": "model-based",
-    "dm": "model-based",
-    "mle": "model-based",
+    # minimax Q learning: fitted Q evaluation's equation, one moment for each pair
+    "mql": "fqe",
+    "dm": "fqe",  # the direct method: the same Q
+    "mle": "fqe",  # maximum likelihood: Q of the log's frequencies
     "mis": "marginalized",
     # minimax weight learning: weights under which the log's frequencies balance the
     # policy's flow
@@ -180,6 +189,8 @@ EstimatorName: TypeAlias = Literal[
     "oee-trajectory",
     "ratio-of-ratios",
     "model-based",
+    "fqe",
+    "fqe-zero",
     "is",
     "wis",
     "pdis",
@@ -194,7 +205,6 @@ EstimatorName: TypeAlias = Literal[
     "dualdice",
     "oracle",
     "oracle-product",
-    "fqe",
     "mql",
     "dm",
     "mle",

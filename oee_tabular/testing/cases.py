@@ -292,7 +292,7 @@ def _equally_likely(chances: Array, name: str) -> IntArray:
     """
     for size in range(1, MAX_DENOMINATOR + 1):
         times = np.rint(chances * size)
-        if np.allclose(times, chances * size, rtol=0.0, atol=1e-9):
+        if float(np.abs(times - chances * size).max()) < 1e-9:
             outcomes = np.tile(np.arange(chances.shape[1]), len(chances))
             repeated = np.repeat(outcomes, times.astype(np.int64).ravel())
             return repeated.reshape(len(chances), size)

@@ -116,7 +116,8 @@ def _array(array: np.ndarray[Any, Any]) -> str:
     numbers = as_code(array.tolist())
     if array.size and np.asarray(array.tolist()).dtype == kind:
         return f"np.array({numbers})"
-    return f'np.array({numbers}, dtype="{kind.str if kind != object else "object"}")'
+    name = "object" if kind.kind == "O" else kind.str
+    return f'np.array({numbers}, dtype="{name}")'
 
 
 def _mdp_arguments(mdp: FiniteMDP) -> dict[str, Any]:

@@ -184,6 +184,8 @@ def test_short_names_and_what_they_stand_for():
         OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
         OffEnvironment(ratio="ratio_of_ratios"),
         ModelBased(),
+        ModelBased("simulator"),
+        ModelBased("zero"),
         ImportanceSampling(kind="trajectory"),
         ImportanceSampling(kind="trajectory", self_normalized=True),
         ImportanceSampling(),
@@ -207,6 +209,8 @@ def test_short_names_and_what_they_stand_for():
         "oee-trajectory",
         "ratio-of-ratios",
         "model-based",
+        "fqe",
+        "fqe-zero",
         "is",
         "wis",
         "pdis",
@@ -230,15 +234,88 @@ def test_short_names_and_what_they_stand_for():
 
 def test_names_that_people_type():
     ragged = oee.testing.case("ragged")
-    assert named_estimators(["fqe", "oee", "model-based"]) == named_estimators(
-        ["model-based", "oee"]
-    )
+    assert named_estimators(["mql", "oee", "fqe"]) == named_estimators(["fqe", "oee"])
     problem = ragged.problem(20, seed=0)
     rows = [
         oee.evaluate(problem, ragged.policy, estimators=name).records()
-        for name in ("fqe", ["dm"], "model-based")
+        for name in ("fqe", ["dm"], "mle")
     ]
     assert rows[0] == rows[1] == rows[2]
+
+
+def iterate_q(problem, policy, begin):
+    """Plain fitted Q evaluation: a pass over the log's rows at a time."""
+    log, discount = problem.log, problem.simulator.discount
+    rows = problem.simulator.transitions
+    q = np.zeros(policy.shape)
+    for _ in range(problem.horizon or 2000):
+        v = (policy * q).sum(axis=1)
+        total, number = np.zeros(policy.shape), np.zeros(policy.shape)
+        np.add.at(
+            total,
+            (log.state, log.action),
+            log.reward + discount * v[log.next_state],
+        )
+        np.add.at(number, (log.state, log.action), 1)
+        other = 0.0
+        if begin == "simulator":
+            other = problem.simulator.rewards
+            other = other + discount * (rows @ v).reshape(policy.shape)
+        q = np.where(number > 0, total / np.maximum(number, 1), other)
+    return problem.simulator.initial @ (policy * q).sum(axis=1)
+
+
+@pytest.mark.parametrize("n", [1, 3, 100])
+@pytest.mark.parametrize("case", ["ragged", "moves", "partial", "partial infinite"])
+def test_fqe_is_what_plain_iteration_gives_wherever_pairs_are_missing(case, n):
+    pair = oee.testing.case(case)
+    problem = pair.problem(n, seed=n)
+    for name, begin in (("fqe", "simulator"), ("fqe-zero", "zero")):
+        (estimator,) = named_estimators([name]).values()
+        found = estimator(problem, pair.policy)
+        assert_allclose(
+            found.value, iterate_q(problem, pair.policy, begin), rtol=1e-9, atol=1e-9
+        )
+        says = [x for x in found.findings if x.kind == "elsewhere"]
+        share = found.diagnostics["unrecorded_share"]
+        assert bool(says) == (share > 0.02 and name == "fqe-zero")
+
+
+def test_fqe_in_the_league_is_maximum_likelihood():
+    """Two families in which model-based, which stays in unrecorded pairs, is far off."""
+    league = oee.bench.run(
+        ["fqe", "fqe-zero", "model-based"],
+        families=["machine", "queue25"],
+        sizes=[3, 10],
+        seeds=4,
+    ).league.set_index("estimator")["over reference"]
+    assert_allclose(league["fqe"], league["maximum-likelihood"], rtol=1e-12)
+    assert league["fqe"] < 1.05
+    assert league["model-based"] > 7.0
+
+
+def test_without_transitions_of_a_pair_zero_ends_there():
+    """The limit too; a state of its own more, which pays nothing."""
+    pair = oee.testing.case("partial")
+    estimator = ModelBased("zero")
+    model = estimator.model(pair.problem(500, seed=0))
+    assert model.n_states == pair.simulator.n_states + 1
+    assert_array_equal(model.rewards[-1], 0.0)
+    assert model.absorbing()[-1]
+    rows = pair.target.transitions.toarray().reshape(*pair.policy.shape, -1)
+    q = np.zeros(pair.policy.shape)
+    seen = pair.data_distribution > 0
+    for _ in range(pair.horizon):
+        v = (pair.policy * q).sum(axis=1)
+        q = np.where(seen, pair.target.rewards + 0.9 * rows @ v, 0.0)
+    limit = estimator.limit(
+        pair.simulator,
+        pair.target,
+        pair.policy,
+        horizon=pair.horizon,
+        data_distribution=pair.data_distribution,
+    )
+    assert_allclose(limit, pair.target.initial @ (pair.policy * q).sum(axis=1))
 
 
 def test_the_default_estimators_and_what_is_left_out():

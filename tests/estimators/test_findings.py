@@ -156,7 +156,7 @@ def test_each_estimator_says_what_it_knows():
         "weights",
     ]
     assert kinds(OffEnvironment()(few, POLICY)) == ["coverage"]
-    assert kinds(ModelBased()(few, POLICY)) == ["coverage", "single"]
+    assert kinds(ModelBased()(few, POLICY)) == ["coverage", "single", "elsewhere"]
     assert (
         kinds(DoublyRobust()(few, POLICY))[0]
         == kinds(Marginalized()(few, POLICY))[0]
