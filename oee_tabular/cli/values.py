@@ -984,11 +984,23 @@ def bench(
             metavar="FOLDER",
             help=(
                 "Folder for table.csv, cells.csv, league.csv, league.md, league.tex,"
-                " profile.png, ..."
+                " profile.png, .pdf, .svg, ..."
             ),
             rich_help_panel=OUTPUT,
         ),
     ] = Path("results/bench"),
+    label: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--label",
+            metavar="NAME=TEXT",
+            help=(
+                "What an estimator is called in the page, the LaTeX table and the"
+                " pictures (repeatable)."
+            ),
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     fresh: Annotated[
         bool,
         typer.Option("--fresh", help="Empty the folder first.", rich_help_panel=OUTPUT),
@@ -1016,6 +1028,7 @@ def bench(
             output=output,
             fresh=fresh,
             overwrite=overwrite,
+            labels=label or (),
             say=say,
         ),
         as_json,

@@ -474,9 +474,14 @@ def draw_bytes(
     """Return the bytes of the figure that ``draw`` makes, by kind, without a date."""
     from matplotlib.figure import Figure
 
-    metadata: dict[str, object] = {"svg": {"Date": None}, "png": {"Software": None}}
+    metadata: dict[str, object] = {
+        "svg": {"Date": None},
+        "png": {"Software": None},
+        "pdf": {"CreationDate": None},
+    }
     contents = {}
-    with own_style({"svg.hashsalt": salt, "svg.fonttype": "none"}):
+    # journals ask for TrueType (42) in PDF
+    with own_style({"svg.hashsalt": salt, "svg.fonttype": "none", "pdf.fonttype": 42}):
         figure = Figure(layout="constrained")
         draw(figure)
         for kind in kinds:

@@ -64,9 +64,11 @@ FILES = (
     "league.csv",
     "league.md",
     "league.tex",
-    "sizes.png",
-    "profile.png",
-    "heat.png",
+    *(
+        f"{name}.{kind}"
+        for name in ("sizes", "profile", "heat")
+        for kind in ("png", "pdf", "svg")
+    ),
 )
 # Errors that reading a damaged file raises: damaged text, lists a thousand deep, and
 # values of other types.
@@ -101,6 +103,48 @@ def code_version(*modules: str) -> str:
         if Path(spec.origin).is_file():
             digest.update(Path(spec.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
+
+
+@functools.cache
+def commit() -> str | None:
+    """Return the commit of the git checkout that the package runs from, if it is one.
+
+    git itself is not run. Files may differ from the commit: ``code_version`` has their
+    digest.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        folder = PACKAGE.parent / ".git"
+        if folder.is_file():  # of a further worktree
+            folder = PACKAGE.parent / _after(folder, "gitdir:")
+        head = (folder / "HEAD").read_text().strip()
+        name = head.removeprefix("ref:").strip()
+        if name == head:
+            return _as_commit(head)
+        shared = folder
+        if (folder / "commondir").is_file():
+            shared = folder / (folder / "commondir").read_text().strip()
+        for place in (folder, shared):
+            if (place / name).is_file():
+                return _as_commit((place / name).read_text())
+        for line in (shared / "packed-refs").read_text().splitlines():
+            if line.endswith(f" {name}"):
+                return _as_commit(line.split()[0])
+    return None
+
+
+def _after(path: Path, word: str) -> str:
+    """Return what a file of one line has after its first word; else a ValueError."""
+    text = path.read_text().strip()
+    if not text.startswith(word):
+        raise ValueError(f"{path} must begin with {word!r}")
+    return text.removeprefix(word).strip()
+
+
+def _as_commit(text: str) -> str | None:
+    """Return a commit's digest, or None for any other text."""
+    digest = text.strip()
+    is_digest = len(digest) in (40, 64) and not set(digest) - set("0123456789abcdef")
+    return digest if is_digest else None
 
 
 def refuse_links(
@@ -261,8 +305,14 @@ class Store:
         return own
 
     def _settings_bytes(self, files: Mapping[str, str]) -> bytes:
-        """Return settings.json, with the digests of the files by name."""
-        content = self.settings.as_dict() | {"files": dict(sorted(files.items()))}
+        """Return settings.json: what made the files, and their digests by name."""
+        made_by = {"version": self.code}
+        if (checked_out := commit()) is not None:
+            made_by["commit"] = checked_out
+        content = self.settings.as_dict() | {
+            "made_by": made_by,
+            "files": dict(sorted(files.items())),
+        }
         return (json.dumps(content, indent=1) + "\n").encode()
 
     def _compare(self) -> None:

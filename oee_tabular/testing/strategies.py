@@ -429,8 +429,8 @@ def _print_as_code(
         printer.text(line)
 
 
-pretty.for_type(FiniteMDP, _print_as_code)
-pretty.for_type(Transitions, _print_as_code)
+for _kind in (FiniteMDP, Transitions):
+    pretty.for_type_by_name(_kind.__module__, _kind.__name__, _print_as_code)
 
 
 def _rewards_of(

@@ -4,6 +4,7 @@ They give the same bits every time and in every mode, resume, have failures as r
 take a user's own estimators and families.
 """
 
+import importlib.metadata
 import json
 import re
 import signal
@@ -338,7 +339,8 @@ def test_the_command(tmp_path, capsys, here):
     assert run_command(*arguments) == 0
     told = capsys.readouterr().out
     assert re.search(
-        r"estimator +maximum-likelihood +simulator +oee +own:guess\n", told
+        r"estimator +maximum-likelihood, else simulator +simulator +oee +own:guess\n",
+        told,
     )
     assert "out: 4 cells computed (" in told
     made = {
@@ -349,9 +351,11 @@ def test_the_command(tmp_path, capsys, here):
         "league.csv",
         "league.md",
         "league.tex",
-        "sizes.png",
-        "profile.png",
-        "heat.png",
+        *(
+            f"{name}.{kind}"
+            for name in ("sizes", "profile", "heat")
+            for kind in ("png", "pdf", "svg")
+        ),
     }
     assert {path.name for path in (tmp_path / "out").iterdir()} == made
     page = (tmp_path / "out" / "league.md").read_text()
@@ -366,6 +370,64 @@ def test_the_command(tmp_path, capsys, here):
         "holds results of other settings: seed 0 there, 3 asked"
         in capsys.readouterr().err
     )
+
+
+def test_labels_and_what_made_the_files(tmp_path, capsys, here):
+    """Labels are no settings: the second run takes the first one's cells."""
+    arguments = (
+        *("bench", "--estimators", "fqe,mle,model-based,own:guess", "--seeds", 2),
+        *("--families", "machine", "--sizes", 3, "--jobs", 1),
+        *("--output", tmp_path / "out"),
+    )
+    assert run_command(*arguments) == 0
+    told = capsys.readouterr().out
+    for name in (
+        "fqe, else simulator",
+        "mle, else simulator",
+        "model-based, else stay",
+    ):
+        assert name in told
+    labels = ("--label", "own:guess=50% & more_{x}", "--label", "model-based = Model")
+    assert run_command(*arguments, *labels) == 0
+    told = capsys.readouterr().out
+    assert "out: 0 cells computed, 2 from the cache" in told
+    assert "50% & more_{x}" in told
+    folder = tmp_path / "out"
+    assert r"50\% \& more\_\{x\} & tuned & 1 &" in (folder / "league.tex").read_text()
+    page = (folder / "league.md").read_text()
+    assert "| Model | 50% & more_{x} |" in page
+    assert "--label 'own:guess=50% & more_{x}'" in page
+    assert "own:guess" in (folder / "league.csv").read_text()
+    made_by = json.loads((folder / "settings.json").read_text())["made_by"]
+    assert made_by["version"].startswith(importlib.metadata.version("oee-tabular"))
+    assert set(made_by) <= {"version", "commit"}
+    mine = oee.bench.run(
+        {"fqe": lambda problem, policy: 1.0}, families="machine", sizes=3, seeds=2
+    )
+    assert "fqe, else" not in str(mine)  # it is no estimator of ours
+
+
+@pytest.mark.parametrize(
+    ("label", "text"),
+    [
+        ("oee", r"--label must be NAME=TEXT, such as .*; got 'oee'"),
+        ("oe=x", "--label must be of estimators in the league, .*oee; got 'oe'"),
+        ("oee=", r"--label\['oee'\] must be a text of one line.*; it is ''"),
+        ("oee=a\nb", r"--label\['oee'\] must be a text of one line"),
+        (
+            "oee=simulator",
+            "--label must give each .*; 'simulator' would be there twice",
+        ),
+    ],
+)
+def test_bad_labels(label, text, tmp_path, capsys):
+    arguments = ("bench", "--estimators", "oee", "--families", "machine")
+    assert run_command(*arguments, "--label", label, "--output", tmp_path / "new") == 2
+    assert re.search(text, capsys.readouterr().err)
+    assert not (tmp_path / "new").exists()
+    twice = ("--label", "oee=a", "--label", "oee=b")
+    assert run_command(*arguments, *twice, "--output", tmp_path / "new") == 2
+    assert "'oee' is there twice" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

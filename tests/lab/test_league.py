@@ -251,9 +251,11 @@ def test_files_are_whole_and_the_same_twice(tmp_path):
         "league.csv",
         "league.md",
         "league.tex",
-        "profile.png",
-        "sizes.png",
-        "heat.png",
+        *(
+            f"{name}.{kind}"
+            for name in ("profile", "sizes", "heat")
+            for kind in ("png", "pdf", "svg")
+        ),
     }
     one = tmp_path / "one"
     two = tmp_path / "two"
@@ -271,7 +273,71 @@ def test_files_are_whole_and_the_same_twice(tmp_path):
     assert "## Without a value" in page
     assert r"mi\$e & held & 2 &" in (one / "league.tex").read_text()
     assert (one / "heat.png").read_bytes()[1:4] == b"PNG"
+    assert (one / "heat.pdf").read_bytes()[:4] == b"%PDF"
+    assert b"<svg" in (one / "heat.svg").read_bytes()
     assert len(pd.read_csv(one / "table.csv")) == 12
+
+
+def test_standard_errors_are_those_of_other_seeds():
+    """Against the spread of the league over new seeds, of cells that are independent."""
+
+    def drawn(seed):
+        normal = np.random.default_rng(seed).normal
+        return league(
+            *(
+                rows(
+                    family,
+                    3,
+                    {
+                        ML: normal(size=60),
+                        SIM: np.full(60, 5.0),
+                        "mine": scale * normal(size=60),
+                    },
+                    half={"mine": scale},
+                )
+                for family, scale in (("a", 1.5), ("b", 0.8), ("c", 3.0))
+            )
+        )
+
+    found = drawn(0)
+    errors = found.errors().assign(estimator=found.league["estimator"])
+    mine = errors.set_index("estimator").loc["mine"]
+    many = pd.DataFrame([row(drawn(seed)) for seed in range(1, 60)])
+    for name in ("over reference", "over eff", "coverage"):
+        assert_allclose(mine[name], many[name].astype(float).std(), rtol=0.35)
+    text = found.to_latex()
+    value = row(found)["over reference"]
+    assert f"{value:.2f} ({mine['over reference']:.2f})" in text
+    assert "& -- & -- " in text  # the simulator has no interval
+    # maximum likelihood is its own reference
+    assert errors.set_index("estimator").loc[ML, "over reference"] == 0.0
+
+
+def test_without_seeds_to_vary_there_is_no_error():
+    found = league(rows("a", 3, {ML: [1.0], SIM: [3.0], "mine": [2.0]}))
+    assert found.errors()[["over reference", "worst", "over eff"]].isna().all(axis=None)
+    assert "mine & held & 1 & 2.00 & " in found.to_latex()
+
+
+def test_labels_are_shown_everywhere_and_the_names_kept():
+    found = league(rows("a", 3, {ML: [1, 1], SIM: [3, 3], "mine": [2, 2]}))
+    shown = found.with_labels({"mine": "Ours", SIM: "Sim_1"})
+    assert shown.league["estimator"].tolist() == [ML, SIM, "mine"]
+    assert "Ours" in str(shown)
+    assert "| Sim_1 | Ours |" in shown.page({}, "")
+    assert r"Sim\_1 & held" in shown.to_latex()
+    figures = Figure(), Figure(), Figure()
+    for draw, figure in zip(
+        (shown.profile, shown.sizes, shown.heat), figures, strict=True
+    ):
+        draw(figure)
+    assert figures[2].axes[0].get_title() == "Ours"
+    legend = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
+    assert legend == [f"{ML}, else simulator", "Sim_1", "Ours"]
+    with pytest.raises(ValueError, match="labels must give each estimator another"):
+        found.with_labels({"mine": SIM})
+    with pytest.raises(ValueError, match="labels must be of estimators in the league"):
+        found.with_labels({"yours": "Ours"})
 
 
 def test_the_pictures_show_every_cell():

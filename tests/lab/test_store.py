@@ -11,6 +11,7 @@ import re
 import pytest
 from lab.noise import bytes_of, experiment
 
+from oee_tabular.lab import run as running
 from oee_tabular.lab.experiments.catalogue import save
 from oee_tabular.lab.run import FILES, LOCK, Store, alone, code_version, run_experiment
 
@@ -37,6 +38,7 @@ def test_other_settings_are_refused_with_the_difference(folder):
     }
     assert len(digests) == 5
     assert settings.pop("files") == digests
+    assert settings.pop("made_by")["version"] == code_version()
     assert settings == SETTINGS.as_dict()
     other = experiment(axes={"n": (1, 2)}).settings(seed=7)
     text = (
@@ -51,6 +53,54 @@ def test_other_settings_are_refused_with_the_difference(folder):
         run_experiment(folder, experiment(id="other").settings())
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert run_experiment(folder, other, fresh=True).computed == 4
+
+
+DIGEST = "0123456789abcdef0123456789abcdef01234567"
+
+
+def checkout(folder, kind):
+    """Make a folder a git checkout, in one of the forms that git gives it."""
+    git = folder / ".git"
+    if kind == "none":
+        return
+    if kind == "worktree":
+        git.write_text("gitdir: main/worktrees/a\n")
+        git = folder / "main" / "worktrees" / "a"
+        git.mkdir(parents=True)
+        (git / "commondir").write_text("../..\n")
+        shared = folder / "main"
+    else:
+        git.mkdir()
+        shared = git
+    head = DIGEST if kind == "detached" else "ref: refs/heads/fix/one"
+    (git / "HEAD").write_text(f"{head}\n")
+    if kind == "packed":
+        (git / "packed-refs").write_text(f"# pack-refs\n{DIGEST} refs/heads/fix/one\n")
+    elif kind in ("loose", "worktree"):
+        (shared / "refs" / "heads" / "fix").mkdir(parents=True)
+        (shared / "refs" / "heads" / "fix" / "one").write_text(f"{DIGEST}\n")
+    elif kind == "damaged":
+        (git / "packed-refs").write_bytes(b"\xff\xfe")
+
+
+@pytest.mark.parametrize(
+    ("kind", "found"),
+    [
+        *((kind, DIGEST) for kind in ("loose", "packed", "detached", "worktree")),
+        *((kind, None) for kind in ("none", "unborn", "damaged")),
+    ],
+)
+def test_the_commit_is_told_where_the_package_is_a_checkout(
+    kind, found, tmp_path, monkeypatch
+):
+    """Elsewhere there is none, and nothing fails."""
+    checkout(tmp_path, kind)
+    monkeypatch.setattr(running, "PACKAGE", tmp_path / "oee_tabular")
+    running.commit.cache_clear()
+    try:
+        assert running.commit() == found
+    finally:
+        running.commit.cache_clear()
 
 
 def test_more_seeds_are_added_to_those_that_are_there(folder, tmp_path):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import inspect
 import math
+import shlex
 import sys
 import tempfile
 import time
@@ -35,7 +36,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
-from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.names import ALIASES, named_estimators
 from oee_tabular.estimators.names import names as estimator_names
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
@@ -45,9 +46,11 @@ from oee_tabular.lab.bench.families import HELD, Families, families, garnet_wors
 from oee_tabular.lab.bench.families_chains import tandem
 from oee_tabular.lab.bench.family import Family, check_seed
 from oee_tabular.lab.bench.league import (
+    ELSE,
     LIKELIHOOD,
     SIMULATOR,
     League,
+    check_labels,
     league_files,
     league_of,
 )
@@ -192,7 +195,26 @@ def run(
         store = run_experiment(
             Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress
         )
-    return league_of(store.table().drop(columns="repetition"))
+    return league_of(store.table().drop(columns="repetition")).with_labels(
+        labels_of(choose_estimators(estimators))
+    )
+
+
+def labels_of(chosen: Mapping[str, Any]) -> dict[str, str]:
+    """Return what rows of the package's estimators are called by what they do.
+
+    Some differ in nothing but what stands for unrecorded pairs.
+    """
+    kinds = {
+        name: ALIASES.get(given, given)
+        for name, given in chosen.items()
+        if isinstance(given, str)
+    }
+    return {
+        name: f"{name}, else {ELSE[kind]}"
+        for name, kind in kinds.items()
+        if kind in ELSE
+    }
 
 
 def plan(
@@ -579,6 +601,24 @@ def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
 # ---- the command
 
 
+def read_labels(labels: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Return name -> text of NAME=TEXT, whose names must be among ``names``."""
+    texts: dict[str, str] = {}
+    for label in labels:
+        name, equals, text = (part.strip() for part in label.partition("="))
+        if not equals:
+            raise ArgumentError(
+                "--label",
+                f"must be NAME=TEXT, such as oee='OEE (ours)'; got {_checks.show(label)}",
+            )
+        if name in texts:
+            raise ArgumentError(
+                "--label", f"must be given once for each name; {name!r} is there twice"
+            )
+        texts[name] = text
+    return check_labels(texts, names, "--label")
+
+
 def bench(
     *,
     estimators: str,
@@ -593,6 +633,7 @@ def bench(
     dask: str | None = None,
     fresh: bool = False,
     overwrite: bool = True,
+    labels: Sequence[str] = (),
 ) -> None:
     """Do one run of ``oee bench`` and write its files.
 
@@ -616,6 +657,8 @@ def bench(
         seed=seed,
         timeout=timeout,
     )
+    names = [*REFERENCES, *map(str, settings.asked["estimators"])]
+    texts = read_labels(labels, list(dict.fromkeys(names)))
     source = families if families is not None and ":" in families else None
     given = {
         "sizes": (sizes, None),
@@ -629,10 +672,13 @@ def bench(
         for name, (value, default) in given.items()
         if value != default
     ]
+    words += [f" --label {shlex.quote(label)}" for label in labels]
 
     def write(store: Store) -> None:
         """Write the league of the finished cells and print it."""
-        league = league_of(store.table().drop(columns="repetition"))
+        league = league_of(store.table().drop(columns="repetition")).with_labels(
+            labels_of({name: name for name in names}) | texts
+        )
         about = {
             name: find_family(source, name, seed).about
             for name in map(str, settings.axes["family"])

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular import _files
+from oee_tabular import _checks, _files
 from oee_tabular._results import checked, conform
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
@@ -156,7 +156,8 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
     """Compute the RMSE of an estimator and of both references, and their ratios.
 
     ``squares`` (3, seeds) are squared errors. ``low`` is the 5% bootstrap quantile of
-    the estimator's ratio, ``floor`` the floor at the simulator's error.
+    the estimator's ratio, ``ratio_error`` its standard error as a share of it (as
+    ``rmse_error`` of the RMSE), ``floor`` the floor at the simulator's error.
     """
     n = squares.shape[1]
     mean_eff = math.sqrt(float(np.mean(eff**2)))
@@ -171,11 +172,25 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
         SIMULATOR: float(simulator[0]),
         "ratio": float(ratio[0]),
         "low": float(np.quantile(ratio[1:], SURE_QUANTILE, method="lower")),
+        "ratio_error": _spread_of_log(ratio[1:], n),
+        "rmse_error": _spread_of_log(rmse[1:], n),
         "b": float(simulator[0] / unit),
         "floor": float(floor(simulator[0] / unit)),
         "over_likelihood": float(_divide(rmse, likelihood)[0]),
         "over_eff": float(rmse[0] / unit),
     }
+
+
+def _spread_of_log(samples: Array, n: int) -> float:
+    """Return the standard error of a positive number, as a share of it.
+
+    It is the standard deviation of its logarithm over bootstrap samples of ``n`` seeds;
+    nan where there is one seed, or a sample is 0 or infinite.
+    """
+    is_number = (samples > 0) & np.isfinite(samples)
+    if n < 2 or not is_number.all():
+        return math.nan
+    return float(np.log(samples).std())
 
 
 def _divide(own: Array, reference: Array) -> Array:
@@ -283,12 +298,20 @@ def geometric_mean(values: pd.Series[float]) -> float:
     return float(np.exp(np.log(numbers).mean()))
 
 
+# what stands for unrecorded pairs in estimators that differ there alone
+ELSE = {
+    LIKELIHOOD: "simulator",
+    "model-based": "stay",
+    "fqe": "simulator",
+    "fqe-zero": "0",
+}
 SHARES = ("surely above 1.1", "coverage", "its coverage", "coverage of 1.96 se")
 PICTURES = {
     "profile": "Share of cells by ratio",
     "sizes": "RMSE by size",
     "heat": "Ratio by family and size",
 }
+KINDS = ("png", "pdf", "svg")  # of each picture
 MAX_HEAT_POWER = (
     3.0  # powers of two on either side of 1 that the heat map's colours tell apart
 )
@@ -304,8 +327,10 @@ EXPLAINED = (
     " `width`: of the reported interval, over logs of at least 3 transitions per"
     " stochastic pair that cover more than 90% of the policy's time; widths are over 2"
     " x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. `seconds`: processor"
-    " time of one log. A mean is empty where the estimator is exactly right in a cell."
-    " Tuned families are those on which a constant of the default was chosen."
+    " time of one log. `else` in a name: what stands for unrecorded pairs, the"
+    " simulator's transitions, a state that stays as it is, or Q = 0. A mean is empty"
+    " where the estimator is exactly right in a cell. Tuned families are those on which a"
+    " constant of the default was chosen."
 )
 
 
@@ -324,6 +349,8 @@ class League:
         A row for each family, size and estimator, over the seeds.
     league : DataFrame
         A row for each estimator and kind of families ("tuned", "held"), over the cells.
+    labels : mapping of str to str
+        By the names of some estimators what texts, tables and pictures call them.
 
     See Also
     --------
@@ -344,6 +371,11 @@ class League:
     table: pd.DataFrame
     cells: pd.DataFrame
     league: pd.DataFrame
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse labels that cannot be shown."""
+        check_labels(self.labels, list(self.league["estimator"].unique()))
 
     def __repr__(self) -> str:
         """Return the numbers of estimators, cells and rows."""
@@ -354,7 +386,7 @@ class League:
 
     def __str__(self) -> str:
         """Return the league table, what it means, and why values are missing."""
-        league = self.league.astype(object)
+        league = self._labelled()[1].astype(object)
         for column in league.columns[2:]:
             form = "{:.0%}" if column in SHARES else "{:.3g}"
             texts = (
@@ -384,6 +416,90 @@ class League:
             .rename("logs")
             .reset_index()
         )
+
+    def with_labels(self, labels: Mapping[str, str]) -> League:
+        """Return the same league with other texts for some estimators.
+
+        Parameters
+        ----------
+        labels : mapping of str to str
+            By the name of an estimator what its rows, columns and curves are called in
+            texts, the LaTeX table and pictures. The data frames keep the names.
+
+        Returns
+        -------
+        League
+            The league with these labels besides its own.
+
+        Raises
+        ------
+        ValueError
+            If a name is none of the estimators', or if two would be called the same, or
+            one an empty text or one of several lines.
+
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> found = oee.bench.run("oee", families=["machine"], sizes=3, seeds=2)
+        >>> "OEE (ours) & tuned & " in found.with_labels(
+        ...     {"oee": "OEE (ours)"}
+        ... ).to_latex()
+        True
+        """
+        names = list(self.league["estimator"].unique())
+        return replace(self, labels={**self.labels, **check_labels(labels, names)})
+
+    def _labelled(self) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Return ``cells`` and ``league`` with labels in place of names."""
+        texts = {LIKELIHOOD: f"{LIKELIHOOD}, else {ELSE[LIKELIHOOD]}", **self.labels}
+        cells, league = (
+            frame.assign(
+                estimator=[texts.get(name, name) for name in frame["estimator"]]
+            )
+            for frame in (self.cells, self.league)
+        )
+        return cells, league
+
+    def errors(self) -> pd.DataFrame:
+        """Compute standard errors of the league's numbers, over the seeds.
+
+        Those of mean ratios follow from the bootstrap over the seeds of each cell,
+        whose families are taken as given; those of a coverage are binomial.
+
+        Returns
+        -------
+        DataFrame
+            A row for each row of ``league``, with the columns "over reference",
+            "worst", "over eff" and "coverage". What has no error is nan.
+        """
+        keys = ["families", "estimator"]
+        # cells that an older version wrote have no errors
+        own = {"ratio_error": math.nan, "rmse_error": math.nan, **self.cells}
+        cells = pd.DataFrame(own)
+        groups = dict(iter(cells.groupby(keys, sort=False)))
+        rows = []
+        for row in self.league.to_dict("records"):
+            part = groups[row["families"], row["estimator"]]
+            known = part[part["ratio"].notna()]
+            worst = math.nan
+            if len(known):
+                worst = float(
+                    known["ratio_error"].iloc[int(known["ratio"].to_numpy().argmax())]
+                )
+            share = row["coverage"]
+            rows.append(
+                {
+                    "over reference": row["over reference"]
+                    * _error_of_mean(known["ratio_error"]),
+                    "worst": row["worst"] * worst,
+                    "over eff": row["over eff"]
+                    * _error_of_mean(part["rmse_error"][part["over_eff"].notna()]),
+                    "coverage": math.sqrt(share * (1 - share) / row["logs"])
+                    if row["logs"]
+                    else math.nan,
+                }
+            )
+        return pd.DataFrame(rows, index=self.league.index)
 
     def scores(self) -> dict[str, Array]:
         """Compute abs(error) / reference of each log, by estimator.
@@ -417,14 +533,15 @@ class League:
             xlabel="tau: RMSE over the reference's",
             ylabel="share of cells with a ratio of at most tau",
         )
-        ratio = self.cells["ratio"]
+        cells, _ = self._labelled()
+        ratio = cells["ratio"]
         known = ratio[(ratio > 0) & np.isfinite(ratio)]
         low = 0.5
         high = 2.0
         if len(known):
             low = max(known.min() / 1.2, 1e-3)
             high = min(known.max() * 1.2, 1e3)
-        for k, (name, own) in enumerate(self.cells.groupby("estimator", sort=False)):
+        for k, (name, own) in enumerate(cells.groupby("estimator", sort=False)):
             ratios = np.clip(np.sort(own["ratio"].dropna().to_numpy()), low, high)
             share = np.arange(len(ratios) + 1) / len(own)
             ax.step(
@@ -455,8 +572,9 @@ class League:
         ax = _axes(
             figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff"
         )
-        over_eff = self.cells["over_eff"]
-        logs = self.cells.assign(log=np.log(over_eff.where(over_eff > 0)))
+        cells, _ = self._labelled()
+        over_eff = cells["over_eff"]
+        logs = cells.assign(log=np.log(over_eff.where(over_eff > 0)))
         shown = list(logs.groupby("estimator", sort=False))[:N_CURVES]
         for k, (name, own) in enumerate(shown):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
@@ -491,11 +609,15 @@ class League:
         """
         _require_figure(figure)
         references = [LIKELIHOOD, SIMULATOR]
+        cells, _ = self._labelled()
+        own_names = dict(zip(cells["estimator"], self.cells["estimator"], strict=True))
         names = [
-            name for name in self.cells["estimator"].unique() if name not in references
+            name
+            for name in cells["estimator"].unique()
+            if own_names[name] not in references
         ]
         # A run of the references alone shows them.
-        names = names or references
+        names = names or list(own_names)
         families = list(self.cells["family"].unique())
         sizes = sorted(self.cells["size"].unique())
         figure.set_size_inches(
@@ -503,7 +625,7 @@ class League:
         )
         axes: Any = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
         for ax, name in zip(axes, names, strict=True):
-            own = self.cells[self.cells["estimator"] == name]
+            own = cells[cells["estimator"] == name]
             ratios = (
                 wide(own, "family", "ratio", "size")
                 .reindex(index=families, columns=sizes)
@@ -560,7 +682,8 @@ class League:
         parts = ["# Estimators on families of environment shift"]
         if command:
             parts.append(f"`{command}`")
-        for kind, part in self.league.groupby("families", sort=False):
+        _, league = self._labelled()
+        for kind, part in league.groupby("families", sort=False):
             table = (
                 part.drop(columns="families")
                 .set_index("estimator")
@@ -589,7 +712,7 @@ class League:
         -------
         str
             A ``tabular`` environment with a row for each estimator and kind of
-            families.
+            families. Standard errors (``errors``) stand in parentheses.
         """
         shown = [
             "estimator",
@@ -602,16 +725,19 @@ class League:
             "coverage",
             "width",
         ]
-        return (
-            self.league[shown]
-            .rename(columns=str.capitalize)
-            .to_latex(
-                index=False,
-                escape=True,
-                na_rep="--",
-                float_format="%.2f",
-                column_format="llrrrrrrr",  # two columns of text, seven of numbers
-            )
+        errors = self.errors()
+        texts = self._labelled()[1][shown].astype(object)
+        for name in errors:
+            texts[name] = [
+                _with_error(value, error)
+                for value, error in zip(self.league[name], errors[name], strict=True)
+            ]
+        return texts.rename(columns=str.capitalize).to_latex(
+            index=False,
+            escape=True,  # of names and labels, which are plain text
+            na_rep="--",
+            float_format="%.2f",
+            column_format="llrrrrrrr",  # two columns of text, seven of numbers
         )
 
     def save(
@@ -620,6 +746,7 @@ class League:
         *,
         about: Mapping[str, str] | None = None,
         command: str = "",
+        labels: Mapping[str, str] | None = None,
     ) -> list[Path]:
         """Write the tables, the page and three pictures into a folder, all or none.
 
@@ -627,11 +754,14 @@ class League:
         ----------
         folder : str or path
             Where table.csv, cells.csv, league.csv, league.md, league.tex and the
-            pictures go.
+            pictures go, each as PNG, PDF and SVG.
         about : mapping of str to str, optional
             What the simulator of each family has wrong, by the family's name.
         command : str, optional
             The command that made the run, for the page.
+        labels : mapping of str to str, optional
+            What estimators are called in the page, the LaTeX table and the pictures
+            (``with_labels``); the CSV files keep their names.
 
         Returns
         -------
@@ -641,34 +771,88 @@ class League:
         Raises
         ------
         ValueError
-            If one of the files is a link or something else that is no plain file.
+            If one of the files is a link or something else that is no plain file, or if
+            ``with_labels`` refuses the labels.
         """
         conform(folder, "folder", str | PathLike)
         conform(about, "about", dict[str, str] | None)
-        contents = league_files(self, about, command)
+        contents = league_files(self, about, command, labels)
         refuse_links(Path(folder))
         _files.write_all(Path(folder), contents)
         return [Path(folder) / name for name in contents]
 
 
 def league_files(
-    league: League, about: Mapping[str, str] | None = None, command: str = ""
+    league: League,
+    about: Mapping[str, str] | None = None,
+    command: str = "",
+    labels: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
     """Return the bytes of the files that ``League.save`` writes, by name."""
+    shown = league.with_labels(labels or {})
     contents = {
         "table.csv": _files.csv_bytes(league.table),
         "cells.csv": _files.csv_bytes(league.cells, float_format="%.6g"),
         "league.csv": _files.csv_bytes(league.league, float_format="%.6g"),
-        "league.md": league.page(about or {}, command).encode(),
-        "league.tex": league.to_latex().encode(),
+        "league.md": shown.page(about or {}, command).encode(),
+        "league.tex": shown.to_latex().encode(),
     }
     for name in PICTURES:
         draw = functools.partial(
-            draw_bytes, getattr(league, name), salt="bench", kinds=("png",)
+            draw_bytes, getattr(shown, name), salt="bench", kinds=KINDS
         )
         pictures = draw_or_warn(f"{name}.png", draw)
-        contents |= {f"{name}.png": data for data in (pictures or {}).values()}
+        contents |= {f"{name}.{kind}": data for kind, data in (pictures or {}).items()}
     return contents
+
+
+def check_labels(
+    labels: Mapping[str, str], names: Sequence[str], name: str = "labels"
+) -> dict[str, str]:
+    """Return labels of estimators by name; refuse those that cannot be shown.
+
+    ``names`` are the estimators of the league; ``name`` is the argument's, in errors.
+    """
+    texts = conform(labels, name, dict[str, str])
+    for estimator, text in texts.items():
+        if estimator not in names:
+            raise ArgumentError(
+                name,
+                f"must be of estimators in the league, {', '.join(names)}; got"
+                f" {_checks.show(estimator)}",
+            )
+        if not text.strip() or not text.isprintable():
+            raise ArgumentError(
+                f"{name}[{estimator!r}]",
+                "must be a text of one line, with a letter or a digit; it is"
+                f" {_checks.show(text)}",
+            )
+    shown = [texts.get(own, own) for own in names]
+    for text in shown:
+        if shown.count(text) > 1:
+            raise ArgumentError(
+                name,
+                f"must give each estimator another text; {_checks.show(text)} would be"
+                " there twice",
+            )
+    return texts
+
+
+def _error_of_mean(errors: pd.Series[float]) -> float:
+    """Return the standard error of a geometric mean, as a share of it.
+
+    ``errors`` are those of the independent numbers, as shares of them.
+    """
+    if not len(errors):
+        return math.nan
+    return float(np.sqrt((errors.to_numpy() ** 2).sum())) / len(errors)
+
+
+def _with_error(value: float, error: float) -> str:
+    """Write a number with its standard error in parentheses, if there is one."""
+    if math.isnan(value):
+        return "--"
+    return f"{value:.2f}" + ("" if math.isnan(error) else f" ({error:.2f})")
 
 
 def _axes(figure: Any, **labels: str) -> Any:
