@@ -25,6 +25,7 @@ from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, Csr
 
@@ -247,23 +248,18 @@ def _end_elsewhere(base: FiniteMDP, rows: Csr) -> FiniteMDP:
     recorded = row_sums(rows) > 0
     size = len(recorded) + base.n_actions
     ends = np.flatnonzero(np.append(~recorded, np.ones(base.n_actions, dtype=bool)))
-    inside = rows.tocoo()
-    matrix = sparse.csr_array(
-        (
-            np.append(inside.data, np.ones(len(ends))),
-            (np.append(inside.row, ends), np.append(inside.col, np.full(len(ends), n))),
-        ),
-        shape=(size, n + 1),
+    matrix = csr_from_entries(
+        np.append(row_of_entry(rows), ends),
+        np.append(rows.indices, np.full(len(ends), n)),
+        np.append(rows.data, np.ones(len(ends))),
+        (size, n + 1),
     )
-    matrix.sort_indices()
     expected = np.where(recorded, base.rewards.reshape(-1), 0.0)
     expected = np.append(expected, np.zeros(base.n_actions))
     rewards: Array | Csr = expected.reshape(n + 1, base.n_actions)
     if base.transition_rewards is not None:
-        own = base.transition_rewards.tocoo()
-        table = sparse.csr_array(
-            (own.data, (own.row, own.col)), shape=(size, n + 1), dtype=np.float64
-        )
+        own = base.transition_rewards
+        table = csr_from_entries(row_of_entry(own), own.indices, own.data, matrix.shape)
         data, defined = align(table, matrix)
         data = np.where(defined, data, expected[row_of_entry(matrix)])
         data[np.isin(row_of_entry(matrix), ends)] = 0.0

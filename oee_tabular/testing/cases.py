@@ -23,7 +23,7 @@ from oee_tabular.exact import occupancy, policy_value
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate import sample_episodes
-from oee_tabular.typing import Array, IntArray, IntArrayLike, Seed
+from oee_tabular.typing import Array, BoolArray, IntArray, IntArrayLike, Seed
 
 
 @checked(shapes={"policy": "S A", "behavior": "S A"})
@@ -334,7 +334,8 @@ def _exact_log(pair: Case, copies: int) -> Transitions:
     paths = np.tile(paths, (copies, 1, 1))
     ended = target.absorbing()
     # an episode ends on its first arrival in an absorbing state, after at least a step
-    goes_on = np.cumsum(ended[paths[:, :, 2]], axis=1) - ended[paths[:, :, 2]] == 0
+    over = ended[paths[:, :, 2]].astype(np.int64)
+    goes_on: BoolArray = over.cumsum(axis=1) == over
     episode, timestep = np.nonzero(goes_on)
     states, actions, next_states = paths[episode, timestep].T
     rewards = target.rewards[states, actions]

@@ -302,7 +302,13 @@ def breaks(simulator, target, policy, log):
 
 
 def test_a_shrunk_counterexample_is_printed_as_code_that_breaks_the_law():
-    @settings(max_examples=200, derandomize=True, database=None, deadline=None)
+    @settings(
+        max_examples=200,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate, Phase.shrink],
+    )
     @given(st.data())
     def law(data):
         simulator, target = data.draw(mdp_pairs(discounts=(0.5,), max_states=3))

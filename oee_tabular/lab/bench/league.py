@@ -813,7 +813,7 @@ def check_labels(
 
     ``names`` are the estimators of the league; ``name`` is the argument's, in errors.
     """
-    texts = conform(labels, name, dict[str, str])
+    texts: dict[str, str] = conform(labels, name, dict[str, str])
     for estimator, text in texts.items():
         if estimator not in names:
             raise ArgumentError(
