@@ -12,10 +12,7 @@ from oee_tabular.estimators.names import names
 
 IN_TERMINAL = ("SIM", "SPEC", "--estimators")
 
-_NAMES = (
-    f"{', '.join(names())}. In unrecorded pairs the state stays in model-based, fqe"
-    " takes the simulator's transitions, and Q of fqe-zero stays 0."
-)
+_NAMES = f"{', '.join(names())}; unrecorded pairs stay in model-based."
 _TARGET_NAMES = f"{', '.join(names(needs_target=True))}."
 _STATE = (
     "Functions get(env) and set(env, state) of a Gymnasium environment whose state is"
