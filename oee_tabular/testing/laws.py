@@ -468,7 +468,10 @@ def exact(subject: Subject, pair: Case) -> str:
 def _is_exact(subject: Subject, pair: Case, goal: float, what: str) -> str:
     """Return a sentence with the numbers, or raise ``Broken``."""
     unit = abs(goal) or 1.0
-    recipe = f"oee.testing.case({pair.name!r}).exact_log()"
+    recipe = (
+        f"oee.testing.Case({pair.name!r}, simulator, target, policy, behavior,"
+        f" {pair.horizon}, {pair.steps}).exact_log()"
+    )
     log = subject.seen.remember(pair.exact_log(), recipe)
     problem = replace(pair.problem_of(log), simulator_data="exact")
     value, chance = _mean_of_seeds(subject, pair, log, problem)

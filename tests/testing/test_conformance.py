@@ -137,6 +137,8 @@ def test_the_code_of_a_broken_law_evaluates_to_a_case_that_breaks_it(name):
     exec(verdict.code, made)
     value = estimator(made["problem"], made["policy"])
     assert abs(value - made["truth"]) > 1e-3 * abs(made["truth"])
+    told = [float(x) for x in re.findall(r"-?\d+(?:\.\d+)?", verdict.text)]
+    assert min(abs(value - x) for x in told) < 1e-6 * abs(value)
     right = wrong.likely()(made["problem"], made["policy"])
     assert right == pytest.approx(made["truth"], rel=1e-9)
     assert len(verdict.code) < 12_000
@@ -153,12 +155,26 @@ def test_the_code_of_every_broken_law_can_be_run(name):
         exec(verdicts[law].code, made)
         assert np.isfinite(made["truth"])
         assert len(verdicts[law].code) < 12_000
-        if law in ("scale", "shift", "relabelling", "padding"):
+        if law in ("scale", "shift", "relabelling", "padding", "exact"):
             value = as_estimator(estimator)(made["problem"], made["policy"], seed=0)
             told = [
                 float(x) for x in re.findall(r"-?\d+(?:\.\d+)?", verdicts[law].text)
             ]
             assert min(abs(value.value - x) for x in told) < 1e-4
+
+
+def test_the_code_of_a_shortened_case_with_a_long_log_makes_that_log():
+    def biased(problem, policy):
+        return 1.01 * wrong.Shrunk(0.5)(problem, policy).value
+
+    verdict = check_estimator(biased, laws=["exact"])["exact"]
+    assert ".exact_log()" in verdict.code
+    made = {}
+    exec(verdict.code, made)
+    horizon = made["problem"].horizon
+    assert f"already at horizon {horizon}" in verdict.text
+    assert made["log"].timestep.max() + 1 in (horizon, horizon + 1)
+    assert biased(made["problem"], made["policy"]) != pytest.approx(made["truth"], 1e-3)
 
 
 def test_the_right_estimators_of_a_user_are_exact():
