@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import ast
 import difflib
-import importlib
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
 from oee_tabular import _checks
+from oee_tabular._own_modules import import_own, import_own_environment
+from oee_tabular._own_modules import own_modules as own_modules
 from oee_tabular.exceptions import ArgumentError
 
 
@@ -143,43 +142,6 @@ def literal(text: str, name: str = "an argument") -> Any:
         return text
 
 
-@contextmanager
-def own_modules() -> Iterator[None]:
-    """Let modules of the current directory be imported like installed ones.
-
-    Installed ones come first: whatever this package imports inside is its own.
-    """
-    folder = os.getcwd()
-    if folder in sys.path:
-        yield
-        return
-    sys.path.append(folder)
-    try:
-        yield
-    finally:
-        # backwards, for a module may have put the same folder first
-        sys.path.reverse()
-        if folder in sys.path:
-            sys.path.remove(folder)
-        sys.path.reverse()
-
-
-@contextmanager
-def own_module_first(module_name: str) -> Iterator[None]:
-    """Prefer the current directory to what is installed, if it has this module."""
-    folder = os.getcwd()
-    package = module_name.partition(".")[0]
-    if PathFinder.find_spec(package, [folder]) is None:
-        yield
-        return
-    sys.path.insert(0, folder)
-    try:
-        yield
-    finally:
-        if folder in sys.path:
-            sys.path.remove(folder)
-
-
 def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
     """Split "module:object" into its two parts without importing anything."""
     module_name, colon, path = spec.partition(":")
@@ -224,9 +186,21 @@ def _list_public(holder: object) -> str:
 
 def own_module(module_name: str) -> ModuleType:
     """Import the module of that name; a failure is a ValueError."""
+    with _import_errors(module_name):
+        return import_own(module_name)
+
+
+def own_environment(module_name: str, identifier: str) -> None:
+    """Import the module that registers this environment; a failure is a ValueError."""
+    with _import_errors(module_name):
+        import_own_environment(module_name, identifier)
+
+
+@contextmanager
+def _import_errors(module_name: str) -> Iterator[None]:
+    """Raise a ValueError in place of what goes wrong while a module is imported."""
     try:
-        with own_module_first(module_name):
-            return importlib.import_module(module_name)
+        yield
     except ModuleNotFoundError as error:
         # in other cases the module was found, and imports one that is missing
         if error.name is not None and (

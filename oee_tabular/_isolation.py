@@ -3,7 +3,7 @@
 Python, numba, matplotlib and the helpers of joblib and multiprocessing look into the
 current folder for modules or settings. A folder of logs from somebody else must not
 decide what the command runs. What a user names as MODULE:OBJECT is imported from the
-current folder by ``_arguments``.
+current folder by ``_own_modules``.
 """
 
 from __future__ import annotations
@@ -78,13 +78,25 @@ def safe_children() -> Iterator[Callable[[], tuple[bool, str | None]]]:
     callable
         What ``begin_worker`` takes in such a process.
     """
+    with safe_path() as before, _streams_that_flush():
+        yield lambda: (is_isolated(), before)
+
+
+@contextmanager
+def safe_path() -> Iterator[str | None]:
+    """Leave the current folder out of the path of Python processes that start inside.
+
+    Yields
+    ------
+    str or None
+        What the variable was before, for ``set_safe_path`` in such a process.
+    """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
-        with _streams_that_flush():
-            yield lambda: (is_isolated(), before)
+        yield before
     finally:
-        _set_safe_path(before)
+        set_safe_path(before)
 
 
 @contextmanager
@@ -115,7 +127,7 @@ def _can_flush(stream: Any) -> bool:
     return True
 
 
-def _set_safe_path(value: str | None) -> None:
+def set_safe_path(value: str | None) -> None:
     """Set the variable of the environment, or remove it."""
     if value is None:
         os.environ.pop(SAFE_PATH, None)
@@ -128,7 +140,7 @@ def begin_worker(is_command: bool, safe_path: str | None) -> None:
 
     What a user's own code starts there has the user's environment again.
     """
-    _set_safe_path(safe_path)
+    set_safe_path(safe_path)
     if is_command:
         ignore_settings()
 

@@ -22,7 +22,7 @@ from oee_tabular._arguments import (
     arguments,
     literal,
     named_specs,
-    own_module,
+    own_environment,
     own_modules,
     own_object,
 )
@@ -114,7 +114,7 @@ def _maker(spec: str) -> Callable[[], Any]:
         return partial(oee.tasks.make_environment, module, **keywords)
     name, *positional = positional
     if not all(part.isidentifier() for part in name.split(".")):
-        own_module(module)  # importing it registers the environment
+        own_environment(module, name)  # importing it registers the environment
         return partial(oee.tasks.make_environment, name, **keywords)
     made = own_object(
         f"{module}:{name}", "the simulator", "my_package.mine:MySimulator"

@@ -23,7 +23,12 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
+from oee_tabular._arguments import (
+    own_environment,
+    own_modules,
+    own_object,
+    parse_spec,
+)
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
@@ -188,7 +193,7 @@ def is_continuous_id(spec: str) -> bool:
     """
     import gymnasium
 
-    identifier = re.split("[:,]", _register(spec), maxsplit=1)[0]
+    identifier = _read_identifier(_register(spec))
     if identifier not in gymnasium.registry:
         return False
     try:
@@ -208,9 +213,14 @@ def _register(spec: str) -> str:
     own = OWN_ID.match(spec)
     if own is None:
         return spec
-    with own_modules():
-        own_module(own[1])
-    return spec[own.start(2) :]
+    rest = spec[own.start(2) :]
+    own_environment(own[1], _read_identifier(rest))
+    return rest
+
+
+def _read_identifier(rest: str) -> str:
+    """Return the id that the rest of a spec begins with."""
+    return re.split("[:,]", rest, maxsplit=1)[0]
 
 
 def _parse_state(state: str) -> dict[str, Any]:

@@ -34,8 +34,8 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files, _writing
-from oee_tabular._arguments import own_module_first, own_modules
 from oee_tabular._checks import show
+from oee_tabular._own_modules import find_own
 from oee_tabular._parallel import DEATHS, backend, parallel
 from oee_tabular._progress import progress_bar, report_finished
 from oee_tabular.exceptions import ArgumentError
@@ -96,8 +96,7 @@ def code_version(*modules: str) -> str:
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     for name in modules:
-        with own_modules(), own_module_first(name):
-            spec = importlib.util.find_spec(name)
+        spec = find_own(name)
         if spec is None or spec.origin is None:
             continue
         if Path(spec.origin).is_file():

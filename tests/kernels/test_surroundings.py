@@ -111,6 +111,7 @@ COMMANDS = [
     "sample gridworld:3,slip=0.3 --episodes 3 --output new.csv",
     "policy gridworld:3,slip=0.3 optimal --output new.npy",
     "export gridworld:3,slip=0.3 --output new.npz",
+    "export FrozenLake-v1 --samples-per-pair 3 --output new.npz",
     "info a.csv",
     "counts a.csv b.csv --jobs 2 --output new.npz",
     "reproduce estimands --smoke --seeds 2 --jobs 2 --output r",
@@ -175,8 +176,8 @@ def test_python_m_imports_nothing_of_it_itself(hostile, tmp_path):
 
 def test_a_module_that_is_named_comes_first_and_no_other(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    for name in ("this", "antigravity", "aid_of_this"):
+    names = ("this", "antigravity", "aid_of_this")
+    for name in names:
         monkeypatch.delitem(sys.modules, name, raising=False)
     (tmp_path / "this.py").write_text("from aid_of_this import value\n")
     (tmp_path / "aid_of_this.py").write_text("value = 3\n")
@@ -185,21 +186,151 @@ def test_a_module_that_is_named_comes_first_and_no_other(tmp_path, monkeypatch):
     with own_modules():
         # the standard library has a module of this name
         assert own_module("this").value == 3
-        # what is imported by the way is looked for elsewhere first
-        assert sys.path[-1] == str(tmp_path)
-        assert sys.path[:-1] == before
+        assert sys.path == before
+        for name in ("aid_of_nobody", "aid_of_that"):
+            (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
+            with pytest.raises(ImportError):
+                __import__(name)  # by a test, which is not in the folder
     assert sys.path == before
-    monkeypatch.delitem(sys.modules, "this")
-    monkeypatch.delitem(sys.modules, "aid_of_this")
+    for name in names:
+        monkeypatch.delitem(sys.modules, name, raising=False)
 
 
-def test_a_folder_that_is_on_the_path_stays_there(tmp_path, monkeypatch):
+def test_the_search_for_modules_is_as_before(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    before = [*sys.path]
-    with own_modules():
+    for path in ([str(tmp_path), *sys.path], [*sys.path]):
+        monkeypatch.setattr(sys, "path", path)
+        before = ([*sys.path], [*sys.meta_path])
+        with own_modules(), own_modules():
+            pass
+        assert (sys.path, sys.meta_path) == before
+
+
+# a library that is installed, and the modules that it would like to have
+LIBRARY = """
+import importlib, importlib.util
+for name in NAMES:
+    try:
+        importlib.import_module(name)
+    except ImportError:
         pass
-    assert sys.path == before
+    try:
+        exec(f"import {name}")
+    except ImportError:
+        pass
+    assert importlib.util.find_spec(name) is None
+
+def register():
+    pass
+"""
+OWN = """
+import library_of_tests
+import FIRST_helper
+from FIRST_parts.inner import made
+import gymnasium, joblib, multiprocessing, os
+import oee_tabular as oee
+
+class Late:
+    def __call__(self, problem, policy):
+        import FIRST_late
+        return oee.estimators.Simulator()(problem, policy).value
+
+class Mine:
+    def __call__(self, problem, policy):
+        value = Late()(problem, policy)
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            assert pool.map(FIRST_helper.same, [value]) == [value]
+        jobs = joblib.Parallel(n_jobs=2)
+        assert jobs(joblib.delayed(same)(x) for x in [value] * 2) == [value] * 2
+        return value
+
+def same(value):
+    import FIRST_late
+    assert FIRST_late.__file__ == os.path.abspath("FIRST_late.py")
+    return value
+
+gymnasium.register("FIRST-v0", entry_point="FIRST_table:Table")
+assert gymnasium.make("FIRST_envs:FIRST_late-v0").unwrapped.P
+gymnasium.register("FIRST_other-v0", entry_point="FIRST_other:Other")
+"""
+TABLE = """
+import gymnasium
+
+class Other(gymnasium.Env):
+    P = {0: {0: [(1.0, 0, 1.0, False)]}}
+    observation_space = gymnasium.spaces.Discrete(1)
+    action_space = gymnasium.spaces.Discrete(1)
+    initial_state_distrib = [1.0]
+
+Table = Other
+"""
+
+
+@pytest.fixture
+def beside_a_library(tmp_path, monkeypatch):
+    """A folder with modules that nobody names, which a library tries to import."""
+    folder, site = tmp_path / "folder", tmp_path / "site"
+    marks = tmp_path / "marks"
+    for path in (folder, marks, site / "lib-1.dist-info", folder / "e-1.dist-info"):
+        path.mkdir(parents=True)
+    wanted = [f"wanted_{os.urandom(4).hex()}" for _ in range(3)]
+    mark = "open({!r} + __name__, 'w')\n"
+    for name in (*wanted, "_winapi", "envwrap", "evil"):
+        (folder / f"{name}.py").write_text(mark.format(f"{marks}{os.sep}"))
+    (folder / wanted[-1]).mkdir()  # a package without __init__.py
+    text = LIBRARY.replace("NAMES", repr(wanted))
+    (site / "library_of_tests.py").write_text(text)
+    # gymnasium imports what is installed and registers environments
+    for path, entry in (
+        (site / "lib-1.dist-info", "library_of_tests:register"),
+        (folder / "e-1.dist-info", "evil:f"),
+    ):
+        (path / "entry_points.txt").write_text(
+            f"[gymnasium.envs]\n__root__ = {entry}\n"
+        )
+        (path / "METADATA").write_text(f"Name: {path.stem[:-2]}\nVersion: 1\n")
+    monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{ROOT}")
+    first = f"own_{os.urandom(4).hex()}"
+    (folder / f"{first}.py").write_text(OWN.replace("FIRST", first))
+    (folder / f"{first}_helper.py").write_text(
+        f"def same(value):\n    import {first}_late\n    return value\n"
+    )
+    (folder / f"{first}_late.py").write_text("import os\n")
+    (folder / f"{first}_envs.py").write_text(
+        f"import gymnasium\nname = '{first}_late-v0'\n"
+        f"gymnasium.register(name, entry_point='{first}_third:Table')\n"
+    )
+    for kind in ("table", "other", "third"):
+        (folder / f"{first}_{kind}.py").write_text(TABLE)
+    (folder / f"{first}_parts").mkdir()
+    (folder / f"{first}_parts" / "inner.py").write_text(
+        "import oee_tabular as oee\nmade = oee.tasks.gridworld(3, 0.1)\n"
+    )
+    return folder, marks, first
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "export FrozenLake-v1 --samples-per-pair 3 --output new.npz",
+        "export gymnasium:Taxi-v4 --output new.npz",
+        "export library_of_tests:register --output new.npz",
+        "export FIRST:made --output new.npz",
+        "export FIRST_parts.inner:made --output new.npz",
+        "export FIRST:FIRST-v0 --output new.npz",
+        "export FIRST:FIRST_other-v0 --output new.npz",
+        "check FIRST:Mine --repetitions 3",
+        "bench --families machine --sizes 3 --seeds 2 --jobs 2 --estimators FIRST:Late"
+        " --output b",
+    ],
+)
+def test_libraries_find_nothing_beside_a_module_that_is_named(words, beside_a_library):
+    folder, marks, first = beside_a_library
+    done = call(words.replace("FIRST", first), folder, timeout=GIVE_UP_SECONDS)
+    wanted = 2 if "register" in words else 1 if "check" in words else 0
+    assert done.returncode == wanted, done.stderr
+    assert "Error" not in done.stdout + done.stderr
+    assert os.listdir(marks) == []
 
 
 def test_the_environment_is_as_before(monkeypatch):
