@@ -10,7 +10,7 @@ import reprlib
 import sys
 import unicodedata
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, ItemsView, KeysView, Mapping, Set
 from typing import Any, TypeVar
 
 import numpy as np
@@ -355,7 +355,10 @@ def number_in(
     Infinity is allowed only with ``infinite``.
     """
     try:
-        number = float(_single(value, name, "biufO"))
+        single = _single(value, name, "iufO")
+        if isinstance(single, bool | np.bool_):
+            raise TypeError
+        number = float(single)
     except ArgumentError:
         raise
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -368,9 +371,23 @@ def number_in(
         has_high = infinite or np.isfinite(high)
         right = "]" if has_high and not open_ends else ")"
         raise ArgumentError(
-            name, f"must be in {left}{low:g}, {high:g}{right}; it is {number:g}"
+            name,
+            f"must be in {left}{low:g}, {high:g}{right}; it is"
+            f" {show_number(number, low, high)}",
         )
     return number
+
+
+def show_number(number: float, *limits: float) -> str:
+    """Write a number in short, or whole where it would not tell it from a limit.
+
+    >>> show_number(1.0000001, 0.0, 1.0), show_number(1 / 3, 1.0)
+    ('1.0000001', '0.333333')
+    """
+    text = f"{number:g}"
+    return (
+        repr(float(number)) if float(text) in limits and number not in limits else text
+    )
 
 
 def _single(value: Any, name: str, kinds: str) -> Any:
@@ -474,13 +491,18 @@ def warn(text: str, category: type[Warning]) -> None:
 
 
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
-    """Convert a collection to a tuple of its items; a text is no collection.
+    """Convert a collection to a tuple of its items.
 
-    ``rule`` says in the error what the items must be.
+    A text is none, and neither is what loses its order or its values on the way: a set,
+    a mapping. ``rule`` says in the error what the items must be.
     """
+    if type(value) is tuple:
+        return value
     try:
         if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
+        if type(value) is not list:
+            _require_order(value, name, rule)
         if hasattr(value, "__array__") and type(value) is not np.ndarray:
             value = _plain(value, name)
         return tuple(value)
@@ -490,6 +512,43 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
         raise ArgumentError(
             name, f"must be {rule}; got {type(value).__name__}"
         ) from None
+
+
+_SET_ITERATOR = type(iter(set()))
+
+
+def _require_order(value: Any, name: str, rule: str) -> None:
+    """Refuse a set and a mapping, which would give their items in an order of theirs.
+
+    The keys and items of a mapping are sets to Python, and keep the mapping's order.
+    """
+    is_set = isinstance(value, Set | _SET_ITERATOR)
+    if is_set and not isinstance(value, KeysView | ItemsView):
+        raise ArgumentError(
+            name,
+            f"must be {rule}; got {type(value).__name__}, which has no order (a list of"
+            " them, in the order that you mean)",
+        )
+    if isinstance(value, Mapping):
+        raise ArgumentError(
+            name,
+            f"must be {rule}; got {type(value).__name__}, of which the keys alone would"
+            f" be read ({_list_of(value, name)})",
+        )
+
+
+def _list_of(value: Mapping[Any, Any], name: str) -> str:
+    """Return how to make a list of a mapping, in words of Python."""
+    called = name if name.isidentifier() else "mapping"
+    counted = list(range(len(value)))
+    try:
+        if sorted(value.values()) == counted:
+            return f"in the order of their numbers: sorted({called}, key={called}.get)"
+        if sorted(value) == counted:
+            return f"in the order of their numbers: [{called}[k] for k in range(len({called}))]"
+    except Exception:  # a user's objects may raise anything
+        pass
+    return f"a list: list({called}) or list({called}.values())"
 
 
 def require_memory(
@@ -565,6 +624,8 @@ def _check_seed(seed: Any) -> Any:
     own = (np.random.BitGenerator, np.random.Generator, np.random.RandomState)
     if seed is None or (type(seed) is int and -1 < seed < 2**64):
         return seed
+    if isinstance(seed, bool | np.bool_):
+        raise TypeError("a truth value")
     if isinstance(seed, (*own, ISeedSequence)):
         return seed
     if not isinstance(seed, int | np.integer | list | tuple | range):
@@ -572,7 +633,7 @@ def _check_seed(seed: Any) -> Any:
     if isinstance(seed, np.ndarray):
         if seed.dtype.hasobject:
             seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()
-        elif seed.dtype.kind not in "iub":
+        elif seed.dtype.kind not in "iu":
             raise TypeError(f"an array of {seed.dtype}")
         elif seed.ndim == 0:
             seed = seed.item()
@@ -587,7 +648,9 @@ def _check_seed(seed: Any) -> Any:
 
 def _count_words(seed: Any, depth: int) -> float:
     """Count the 32-bit numbers of an integer, or of a sequence of such; inf beyond."""
-    if isinstance(seed, int | np.integer | np.bool_):
+    if isinstance(seed, bool):
+        raise TypeError("a truth value")
+    if isinstance(seed, int | np.integer):
         return 1.0 + int(seed).bit_length() // 32
     if not isinstance(seed, list | tuple | range) or depth > MAX_SEED_DEPTH:
         raise TypeError(f"{type(seed).__name__} is no integer")

@@ -362,7 +362,16 @@ def encode_names(
         )
     first: dict[Name, int] = {}
     codes = [number_in_order(items, first)[0] for items in found.values()]
-    return list(codes), check_names(list(first), name, len(first))
+    names = list(first)
+
+    def find_place(k: int) -> str:
+        """Return where the k-th name stands first."""
+        columns = ((column, items) for column, items in found.items())
+        return next(
+            f"{c}[{items.index(names[k])}]" for c, items in columns if names[k] in items
+        )
+
+    return list(codes), check_names(names, name, len(names), find_place)
 
 
 def _names_in(value: object, name: str) -> list[Any] | None:

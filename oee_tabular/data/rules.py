@@ -502,8 +502,10 @@ def _check_integers(
         return raw, None
     numbers = to_numbers(raw)
     odd = np.zeros(len(numbers), dtype=np.bool_)
+    is_rounded = odd
     if numbers.dtype.kind == "f":
-        odd = ~((np.abs(numbers) < 2.0**53) & (numbers == np.floor(numbers)))
+        odd = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+        is_rounded = ~odd & (np.abs(numbers) >= 2.0**53)
     is_low = numbers < low
     is_high = numbers >= high
     limit = f"must be in {low}..{high - 1}"
@@ -513,8 +515,10 @@ def _check_integers(
         "must be an integer": odd,
         f"must be at least {low}": is_low,
         limit: is_high,
+        "must be an integer of 64 bits, or below 2**53, from where a float does not hold"
+        " each": is_rounded,
     }
-    values = np.where(odd | is_low | is_high, 0, numbers).astype(np.int64)
+    values = np.where(odd | is_low | is_high | is_rounded, 0, numbers).astype(np.int64)
     return values, find_fault(label, raw, rules)
 
 

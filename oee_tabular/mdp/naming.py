@@ -6,7 +6,7 @@ import difflib
 import json
 import math
 import unicodedata
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -81,8 +81,13 @@ def name_text(names: tuple[Name, ...] | None, number: Any) -> str:
     return str(k if names is None or not 0 <= k < len(names) else names[k])
 
 
-def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
+def check_names(
+    value: object, name: str, size: int, place_of: Callable[[int], str] | None = None
+) -> tuple[Name, ...]:
     """Check that ``value`` is ``size`` different names and return them as a tuple.
+
+    ``place_of``: says where the k-th name was found, where ``name[k]`` does not.
+
 
     A name is a text that does not read as a number, or a tuple of texts and numbers.
     Names are kept in Unicode's composed form (NFC), and no two may look alike.
@@ -96,10 +101,10 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
             name, f"must have {size} names, one for each; it has {len(given)}"
         )
     names = tuple(to_plain(item) for item in given)
+    place_of = place_of or f"{name}[{{}}]".format
     first: dict[str, int] = {}
     for k, item in enumerate(names):
-        place = f"{name}[{k}]"
-        _require_name(item, place)
+        _require_name(item, place_of, k)
         look = _appearance(str(item))
         if look in first:
             other = first[look]
@@ -107,8 +112,8 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
             relation = "as" if is_same else "which looks as"
             raise ArgumentError(
                 name,
-                f"must differ; {place} is {_checks.show(item)}, {relation}"
-                f" {name}[{other}] {'is' if is_same else 'does'}"
+                f"must differ; {place_of(k)} is {_checks.show(item)}, {relation}"
+                f" {place_of(other)} {'is' if is_same else 'does'}"
                 f"{_tell_apart(given[k], given[other])}",
             )
         first[look] = k
@@ -147,24 +152,24 @@ def _tell_apart(item: object, other: object) -> str:
     return f" (in characters: {' and '.join(shown)})"
 
 
-def _require_name(item: object, place: str) -> None:
-    """Raise an ArgumentError where an item is no name; errors call it ``place``."""
+def _require_name(item: object, place_of: Callable[[int], str], k: int) -> None:
+    """Raise an ArgumentError where an item is no name; errors call it ``place_of(k)``."""
     if not is_name(item):
         raise ArgumentError(
-            place,
+            place_of(k),
             "must be a text, or a tuple of texts and numbers; it is"
             f" {_checks.show(item)}",
         )
     text = str(item)
     if text.strip() != text or not text:
         raise ArgumentError(
-            place,
+            place_of(k),
             "must not be empty, nor begin or end with a blank; it is"
             f" {_checks.show(text)}",
         )
     if is_number_text(text):
         raise ArgumentError(
-            place,
+            place_of(k),
             "must not read as a number, which a file does not tell from the number"
             f" of a state or an action; it is {text!r} (write {'s' + text!r})",
         )
