@@ -15,6 +15,29 @@ from oee_tabular._own_modules import import_own, import_own_environment
 from oee_tabular._own_modules import own_modules as own_modules
 from oee_tabular.exceptions import ArgumentError
 
+MAX_DIGITS = 4300  # of an integer that Python reads
+
+
+def whole_number(text: str, name: str) -> int:
+    """Read an integer from decimal digits, perhaps with a sign.
+
+    >>> whole_number(" -12", "--initial")
+    -12
+    """
+    digits = text.strip().removeprefix("-")
+    # Python reads no more of them
+    if not digits.isdecimal() or len(digits) > MAX_DIGITS:
+        raise ArgumentError(
+            name,
+            f"must be an integer of at most {MAX_DIGITS} digits; it is {_checks.show(text)}",
+        )
+    return int(text)
+
+
+def is_whole_number(text: str) -> bool:
+    """Say whether a text is a sign, or none, and decimal digits."""
+    return text.strip().removeprefix("-").isdecimal()
+
 
 def named_specs(
     given: list[str], option: str = "--policy", known: Sequence[str] = ()
@@ -131,11 +154,17 @@ def literal(text: str, name: str = "an argument") -> Any:
     lowered = {"true": True, "false": False, "none": None}
     if text.lower() in lowered:
         return lowered[text.lower()]
-    if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
-        top, bottom = text.split("/", 1)
-        if int(bottom) == 0:
+    parts = [part.strip() for part in text.split("/", 1)]
+    if len(parts) == 2 and all(map(str.isdecimal, parts)):
+        top, bottom = (whole_number(part, name) for part in parts)
+        if bottom == 0:
             raise ArgumentError(name, f"must be a finite number; {text!r} divides by 0")
-        return int(top) / int(bottom)
+        try:
+            return top / bottom
+        except OverflowError:
+            raise ArgumentError(
+                name, f"must be a finite number; it is {_checks.show(text)}"
+            ) from None
     try:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError):

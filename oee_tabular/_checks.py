@@ -17,9 +17,11 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from oee_tabular import _containers
 from oee_tabular._containers import LossError, to_plain_array
 from oee_tabular._containers import is_sparse as is_sparse
 from oee_tabular._containers import place as place
+from oee_tabular._containers import to_native as to_native
 from oee_tabular._containers import without_known_labels as without_known_labels
 from oee_tabular._memory import free_memory
 from oee_tabular.exceptions import ArgumentError
@@ -195,6 +197,22 @@ def _plain(value: object, name: str, allow_missing: bool = False) -> Any:
         return to_plain_array(value, name, allow_missing=allow_missing)
     except LossError as error:
         raise ArgumentError(error.argument, error.rule) from None
+
+
+def require_no_unit_of(value: object, name: str) -> None:
+    """Require a column whose values' type has no unit, as those of pint have."""
+    try:
+        _containers.require_no_unit_of(value, name)
+    except LossError as error:
+        raise ArgumentError(error.argument, error.rule) from None
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of a library's error, for the end of one of ours."""
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return escape_controls((lines or [type(error).__name__])[0].strip())[
+        :MAX_SHOWN_CHARACTERS
+    ]
 
 
 def _no_array(value: object, name: str, rule: str, error: Exception) -> ArgumentError:

@@ -28,6 +28,7 @@ MAX_SHOWN_LABELS = 3
 # types of single values, of which an array is made as it stands
 _PLAIN = {int, float, bool, complex, str, bytes, type(None), Decimal, Fraction, range}
 _SINGLE = (np.generic, str, bytes, date, time, timedelta)
+_KNOWN = {np.ndarray, list, tuple, type(None)}  # columns without labels
 _HOLDERS = ("magnitude", "value", "_value")  # of the numbers of a quantity
 _CONVERSIONS = ("m_as", "to_value", "value_in_unit")  # to numbers without a unit
 _DIMENSIONLESS = re.compile(r"(1(\.0*)?)?\s*\(?(dimensionless|unitless)?\)?")
@@ -104,6 +105,9 @@ def to_plain_array(
     if _is_missing(value):
         return _missing(name, index, allow_missing, "missing")
     try:
+        native = to_native(value)
+        if native is not value:
+            return to_plain_array(native, name, index, allow_missing=allow_missing)
         inner = _unwrap(value, name, index)
         if isinstance(inner, np.ma.MaskedArray) or hasattr(inner, "unmasked"):
             return _plain_masked(inner, name, index, allow_missing)
@@ -130,6 +134,19 @@ def to_plain_array(
             return inner
         return _plain_objects(array, name, index, allow_missing)
     return array
+
+
+def to_native(value: Any) -> Any:
+    """Return what narwhals wraps, or what dask has yet to compute; else the value.
+
+    What numpy would make of them has no mask and no labels any more.
+    """
+    kind = type(value)
+    if hasattr(kind, "__dask_graph__") and hasattr(kind, "compute"):
+        return value if value.__dask_graph__() is None else value.compute()
+    if kind.__module__.startswith("narwhals.") and hasattr(kind, "to_native"):
+        return value.to_native()
+    return value
 
 
 def _is_sequence(value: Any) -> bool:
@@ -282,8 +299,9 @@ def _unwrap(value: Any, name: str, index: Index) -> Any:
     if _is_table(value):
         return _unwrap_table(value, where)
     dims = getattr(value, "dims", None)
-    if isinstance(dims, tuple) and all(isinstance(d, str) for d in dims):
-        return _unwrap_dims(value, dims, where)
+    if isinstance(dims, tuple | list) and hasattr(value, "__array__"):
+        return _unwrap_dims(value, tuple(dims), where)
+    require_no_unit_of(value, where)
     return _without_unit(value, where)
 
 
@@ -301,11 +319,24 @@ def _unwrap_pandas(value: Any, where: str) -> Any:
                 f" {'is' if axis == 'index' else 'are'} not 0, 1, 2, ... (in the order"
                 " in which it stands: .to_numpy())",
             )
-    types = [value.dtype] if len(axes) == 1 else list(value.dtypes)
-    for dtype in types:  # of pint in pandas
-        if getattr(dtype, "units", None) is not None:
-            _require_no_unit(dtype.units, value, where)
+    require_no_unit_of(value, where)
     return np.asarray(value)
+
+
+def require_no_unit_of(value: Any, where: str) -> None:
+    """Raise an LossError where the type of a column's values has a unit.
+
+    So it has in extensions of pandas (pint). In those of time a unit is a resolution.
+    """
+    is_table = getattr(value, "ndim", 1) == 2 and hasattr(value, "dtypes")
+    types = list(value.dtypes) if is_table else [getattr(value, "dtype", None)]
+    for dtype in types:
+        if isinstance(dtype, np.dtype) or getattr(dtype, "kind", "") in ("M", "m"):
+            continue
+        for part in ("units", "unit"):
+            unit = getattr(dtype, part, None)
+            if unit is not None:
+                _require_no_unit(unit, value, where)
 
 
 def is_labelled_series(value: object) -> TypeGuard[Any]:
@@ -323,6 +354,10 @@ def without_shared_labels(columns: dict[str, Any]) -> dict[str, Any]:
 
     The columns of a frame whose rows were chosen keep the numbers that these had.
     """
+    columns = {
+        name: value if type(value) in _KNOWN else to_native(value)
+        for name, value in columns.items()
+    }
     series = [value for value in columns.values() if hasattr(value, "iloc")]
     if len(series) < 2 or not all(map(is_labelled_series, series)):
         return columns
@@ -400,7 +435,7 @@ def _unwrap_table(value: Any, where: str) -> Any:
     return np.asarray(value)
 
 
-def _unwrap_dims(value: Any, dims: tuple[str, ...], where: str) -> Any:
+def _unwrap_dims(value: Any, dims: tuple[Any, ...], where: str) -> Any:
     """Return the array inside of one with named dimensions (xarray).
 
     One dimension, or unnamed ones, counted from 0, lose nothing by position.

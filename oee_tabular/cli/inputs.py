@@ -20,11 +20,13 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks, _files, _progress
 from oee_tabular._arguments import (
     arguments,
+    is_whole_number,
     literal,
     named_specs,
     own_environment,
     own_modules,
     own_object,
+    whole_number,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
@@ -73,7 +75,8 @@ def task_of(
     if initial is None:
         return task
     # no name reads as a number
-    start = int(initial) if initial.strip().lstrip("-").isdigit() else initial
+    is_number = is_whole_number(initial)
+    start = whole_number(initial, "--initial") if is_number else initial
     return replace(task, mdp=task.mdp.with_initial(start))
 
 
@@ -285,7 +288,7 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
     labels = list(frame.columns)
     known = {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
     actions = {
-        label: int(label) if label.isdigit() else label
+        label: whole_number(label, name) if label.isdecimal() else label
         for label in labels
         if label != "state"
     }

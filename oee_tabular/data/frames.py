@@ -49,6 +49,10 @@ STEP = (
 )
 
 
+# methods by which frames of other libraries give their rows (dask, Spark, DuckDB)
+READ_ROWS = ("compute", "toPandas", "to_pandas", "df")
+
+
 def is_frame(value: object) -> bool:
     """Say whether ``value`` is an eager or lazy data frame that narwhals knows."""
     if isinstance(value, np.ndarray | Sequence | Mapping):
@@ -105,7 +109,9 @@ def frame_columns(
     found = match_labels(labels, "frame", named, require, has_capitals=True)
     warn_read_as("the frame", found.renamed)
     raw = {
-        field: _join_columns([series(labels.index(label)) for label in group])
+        field: _join_columns(
+            [series(labels.index(label)) for label in group], f"frame: {field}"
+        )
         for field, group in found.taken.items()
     }
     values = check_table(
@@ -150,22 +156,39 @@ def _read_series(frame: object) -> tuple[list[Any], Callable[[int], Any]]:
     return texts, lambda k: narwhal[texts[k]]
 
 
-def _join_columns(series: Sequence[Any]) -> Column:
+def _join_columns(series: Sequence[Any], place: str) -> Column:
     """Return a column's values, or the tuples of several columns' values."""
-    columns = [_column_values(one) for one in series]
+    columns = [_column_values(one, place) for one in series]
     if len(columns) == 1:
         return columns[0]
     return join_parts([column.tolist() for column in columns])
 
 
-def _column_values(column: Any) -> Column:
-    """Return the values of one column of a frame, nan where one is missing."""
-    values = np.asarray(column.to_numpy())
+def _column_values(column: Any, place: str) -> Column:
+    """Return the values of one column of a frame, nan where one is missing.
+
+    Errors call the column ``place``.
+    """
+    _checks.require_no_unit_of(column.to_native(), place)
+    try:
+        values = np.asarray(column.to_numpy())
+    except Exception as error:  # whatever another library says of its own types
+        raise ArgumentError(
+            place,
+            f"must hold numbers, texts or truth values; it holds {column.dtype}"
+            f" ({_checks.first_line(error)})",
+        ) from None
+    if values.dtype.kind in "Mm":  # which have a sign of their own for a missing one
+        return values
     if values.dtype.kind in "UT":
         # names are objects: polars makes texts of one width of a column without gaps
         values = values.astype(object)
     is_absent = column.is_null().to_numpy()
-    return np.where(is_absent, np.nan, values) if is_absent.any() else values
+    if not is_absent.any():
+        return values
+    if values.dtype.kind not in "biuf":
+        values = values.astype(object)
+    return np.where(is_absent, np.nan, values)
 
 
 def eager(frame: Any) -> Any:
@@ -185,17 +208,33 @@ def eager(frame: Any) -> Any:
             isinstance(frame, list | tuple) and frame and isinstance(frame[0], Mapping)
         ):
             hint = " (rows by their names: pandas.DataFrame(rows))"
+        way = next((way for way in READ_ROWS if hasattr(type(frame), way)), None)
+        if way is not None and not hint:
+            hint = f" (whose rows are not read yet: frame.{way}())"
+        library = type(frame).__module__.partition(".")[0]
+        article = "" if library == "builtins" else f"{library}'s "
         raise ArgumentError(
             "frame",
             "must be a data frame (pandas, polars, arrow); got"
-            f" {type(frame).__name__}{hint}",
+            f" {article}{type(frame).__name__}{hint}",
         )
     try:
         table = nw.from_native(frame)
-        return table.collect() if isinstance(table, nw.LazyFrame) else table
     except (nw.exceptions.NarwhalsError, ValueError) as error:
         raise ArgumentError(
-            "frame", f"must have columns that differ; {error}"
+            "frame", f"must have columns that differ; {_checks.first_line(error)}"
+        ) from None
+    if not isinstance(table, nw.LazyFrame):
+        return table
+    try:
+        return table.collect()
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever the library says of the query
+        raise ArgumentError(
+            "frame",
+            "must be a lazy frame whose query can be run; it raises"
+            f" {type(error).__name__}: {_checks.first_line(error)}",
         ) from None
 
 

@@ -504,6 +504,7 @@ def _check_integers(
     odd = np.zeros(len(numbers), dtype=np.bool_)
     is_rounded = odd
     if numbers.dtype.kind == "f":
+        numbers = numbers.astype(np.float64, copy=False)  # half precision ends at 65504
         odd = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
         is_rounded = ~odd & (np.abs(numbers) >= 2.0**53)
     is_low = numbers < low

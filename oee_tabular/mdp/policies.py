@@ -128,6 +128,8 @@ def check_policy(
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         given = policy_table(policy, mdp, name)
     array = _checks.float_array(given, name)
+    if array.ndim == 1 and len(array) in (n_states, n_own):
+        _refuse_rounded_actions(given, array, name)
     _require_policy_shape(array, (n_states, n_own), n_actions, horizon, name)
     array = _check_distributions(array, given, name)
     if array.shape[-2] < n_states:
@@ -155,6 +157,18 @@ def _require_policy_shape(
         raise ArgumentError(
             name,
             f"must have shape {rule} (states, actions); it has shape {array.shape}",
+        )
+
+
+def _refuse_rounded_actions(given: Any, array: Array, name: str) -> None:
+    """Raise an ArgumentError for an action for each state that is no integer's type."""
+    if (array == np.floor(array)).all():
+        kind = np.asarray(_checks.plain_array(given, name)).dtype.name
+        raise ArgumentError(
+            name,
+            f"must be integers where it has an action for each state; they are {kind}"
+            " (of actions: numpy.asarray(policy).astype(int); of probabilities: a row for"
+            " each state)",
         )
 
 
@@ -369,16 +383,25 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
             f"must be an action, or a distribution, for each of the {mdp.n_states}"
             f" states; it is {_checks.show(policy)} ({hint})",
         )
+    policy = _checks.to_native(policy)
     is_function = callable(policy) and not hasattr(policy, "__array__")
     if isinstance(policy, Mapping) or is_function:
         return _choice_table(policy, mdp, name)
     # xarray's say more than their order
     if hasattr(policy, "to_dict") and not hasattr(policy, "dims"):
+        ways = "in the order of the states: policy.to_numpy()"
+        if hasattr(policy, "iloc"):  # of pandas, which has labels
+            is_series = getattr(policy, "ndim", 2) == 1
+            ways = (
+                'of a row for each state, an action a column: policy.to_dict("index")'
+            )
+            if is_series:
+                ways = "by its labels: policy.to_dict()"
+            ways += "; in the order of the states: policy.to_numpy()"
         raise ArgumentError(
             name,
-            f"must be an array or a mapping by state; got {type(policy).__name__} (of a"
-            ' table with an action a column: policy.to_dict("index"); of a series:'
-            " policy.to_dict(); of either by order: policy.to_numpy())",
+            f"must be an array or a mapping by state; got {type(policy).__name__}"
+            f" ({ways})",
         )
     plain = _checks.plain_array(policy, name, "a policy's array")
     return _action_table(plain, mdp, name)
@@ -523,7 +546,9 @@ def _choice_row(
         row = _checks.float_array(choice, name, ndim=1)
     else:
         rule = f"an action, or a distribution over the {n_actions} actions"
-        raise ArgumentError(name, f"must be {rule}; it is {_checks.show(choice)}")
+        is_rounded = isinstance(choice, float | bool | np.floating | np.bool_)
+        hint = " (an action is an integer: int(action))" if is_rounded else ""
+        raise ArgumentError(name, f"must be {rule}; it is {_checks.show(choice)}{hint}")
     return _check_distributions(row, choice, name)
 
 
