@@ -532,7 +532,7 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
         ) from None
 
 
-_SET_ITERATOR = type(iter(set()))
+_SET_ITERATOR: type = type(iter(set[Any]()))
 
 
 def _require_order(value: Any, name: str, rule: str) -> None:
@@ -643,7 +643,7 @@ def _check_seed(seed: Any) -> Any:
     if seed is None or (type(seed) is int and -1 < seed < 2**64):
         return seed
     if isinstance(seed, bool | np.bool_):
-        raise TypeError("a truth value")
+        raise ArgumentError("seed", f"must be an integer; got {show(seed)}")
     if isinstance(seed, (*own, ISeedSequence)):
         return seed
     if not isinstance(seed, int | np.integer | list | tuple | range):
@@ -652,7 +652,7 @@ def _check_seed(seed: Any) -> Any:
         if seed.dtype.hasobject:
             seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()
         elif seed.dtype.kind not in "iu":
-            raise TypeError(f"an array of {seed.dtype}")
+            raise ArgumentError("seed", f"must hold integers; it holds {seed.dtype}")
         elif seed.ndim == 0:
             seed = seed.item()
     if isinstance(seed, np.ndarray):
@@ -666,8 +666,8 @@ def _check_seed(seed: Any) -> Any:
 
 def _count_words(seed: Any, depth: int) -> float:
     """Count the 32-bit numbers of an integer, or of a sequence of such; inf beyond."""
-    if isinstance(seed, bool):
-        raise TypeError("a truth value")
+    if isinstance(seed, bool | np.bool_):
+        raise ArgumentError("seed", f"must hold integers; it holds {show(seed)}")
     if isinstance(seed, int | np.integer):
         return 1.0 + int(seed).bit_length() // 32
     if not isinstance(seed, list | tuple | range) or depth > MAX_SEED_DEPTH:

@@ -392,8 +392,8 @@ def encode_names(
     if len(found) < len(columns):
         if given is None:
             return list(columns.values()), None
-        names = _checks.collection(given, name, "a sequence of texts or tuples")
-        return list(columns.values()), check_names(given, name, len(names))
+        several = _checks.collection(given, name, "a sequence of texts or tuples")
+        return list(columns.values()), check_names(several, name, len(several))
     if given is not None:
         raise ArgumentError(
             next(iter(found)),

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular.cli import main
 
 UNIFORM = np.full((9, 4), 0.25)
 DATA = "--simulator sim.npz --log log.csv"
@@ -336,3 +337,24 @@ def test_plan_takes_what_its_function_takes(run, folder):
 )
 def test_what_is_no_plan(run, folder, words, text):
     assert text in run(f"plan {DATA} --transitions", words, code=2)
+
+
+@pytest.mark.parametrize(
+    "text", ["\u00b2", "--1", "1-", "\u2460", "9" * 5000, "-" + "9" * 5000]
+)
+def test_a_word_that_is_no_integer_is_refused_with_its_option(text, capsys):
+    words = ["export", "gridworld:3,slip=0.2", f"--initial={text}", "--output", "x.npz"]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith("oee: --initial must be")
+
+
+@pytest.mark.parametrize(
+    "text", ["1/\u00b2", "\u00b2/3", "1/" + "9" * 5000, "9" * 400 + "/1"]
+)
+def test_a_fraction_that_is_no_number_is_refused_with_its_argument(text, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["export", f"gridworld:5,slip={text}", "--output", "x.npz"])
+    assert ended.value.code == 2
+    assert "slip must be" in capsys.readouterr().err

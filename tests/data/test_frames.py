@@ -19,7 +19,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
-from oee_tabular.exceptions import DataWarning
+from oee_tabular.exceptions import ArgumentError, DataWarning
 
 NUMBERS = replace(
     oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0),
@@ -439,3 +439,107 @@ def outcome(make, source):
     except ValueError as error:
         return str(error).split(": ", 1)[-1]
     return {label: str(column.tolist()) for label, column in log.columns().items()}
+
+
+MOVE = {"state": [0, 0], "action": [0, 1], "next_state": [0, 1]}
+ODD = {
+    "dates": pd.to_datetime(["2020-01-01", None]),
+    "dates of a zone": pd.to_datetime(["2020-01-01", None], utc=True),
+    "durations": pd.to_timedelta([1, None], unit="s"),
+    "months": pd.PeriodIndex(["2020-01", None], freq="M"),
+    "bytes": np.array([b"x", None], dtype=object),
+    "complex": [1j, None],
+    "intervals": pd.interval_range(0, 2),
+}
+
+
+@pytest.mark.parametrize("column", [*MOVE, "reward", "terminated", "timestep"])
+@pytest.mark.parametrize("kind", ODD)
+def test_values_of_other_types_are_refused_with_their_column(kind, column):
+    frame = pd.DataFrame(MOVE | {column: ODD[kind]})
+    with pytest.raises(ArgumentError, match=rf"^frame: {column}(\[\d\])? must"):
+        Transitions.from_frame(frame)
+
+
+@pytest.mark.parametrize("kind", ["dates", "durations"])
+def test_an_episode_needs_an_id(kind):
+    with pytest.raises(ArgumentError, match=r"^frame: episode\[1\] must have a value"):
+        Transitions.from_frame(pd.DataFrame(MOVE | {"episode": ODD[kind]}))
+
+
+def test_the_reason_of_a_frame_that_cannot_be_read_is_one_line():
+    polars = pytest.importorskip("polars")
+    lazy = polars.LazyFrame(MOVE | {"text": ["a", "b"]})
+    odd = (
+        lazy.select("nope"),
+        lazy.with_columns(polars.col("text").cast(polars.Int64)),
+        lazy.rename({"text": "state"}),
+        lazy.filter(polars.col("other") > 1),
+    )
+    for frame in odd:
+        with pytest.raises(
+            ArgumentError, match=r"^frame must be a lazy .* raises \w+: "
+        ) as (refused):
+            Transitions.from_frame(frame)
+        assert "\n" not in str(refused.value)
+
+    class DataFrame:
+        """A frame of a library that nobody knows."""
+
+        def toPandas(self):
+            return pd.DataFrame(MOVE)
+
+    with pytest.raises(ArgumentError, match=r"read yet: frame\.toPandas\(\)\)"):
+        Transitions.from_frame(DataFrame())
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble])
+def test_numbers_of_any_precision_are_judged_without_a_warning(kind):
+    values = np.array([1, 3], dtype=kind)
+    assert Transitions(values, [0, 1], [0, 1]).state.tolist() == [1, 3]
+    for odd, rule in ((0.5, "an integer"), (np.inf, "an integer"), (-1, "at least 0")):
+        values = np.array([1, odd], dtype=kind)
+        with pytest.raises(ArgumentError, match=rf"^state\[1\] must be {rule}"):
+            Transitions(values, [0, 1], [0, 1])
+
+
+@pytest.mark.parametrize(
+    ("value", "rule"),
+    [
+        (2.0**53, r"an integer of 64 bits, or below 2\*\*53, from where"),
+        (2.0**60, r"an integer of 64 bits, or below 2\*\*53, from where"),
+        (2.0**63, r"below 2\*\*63"),
+        (1e300, r"below 2\*\*63"),
+        (2**63, r"below 2\*\*63"),
+        (2**64 - 1, r"below 2\*\*63"),
+        (0.5, "an integer;"),
+        (-(2.0**60), "at least 0"),
+    ],
+)
+def test_an_integer_that_is_too_large_is_no_other_number(value, rule, tmp_path):
+    with pytest.raises(ArgumentError, match=rf"^state\[0\] must be {rule}"):
+        Transitions(np.array([value]), [0], [0])
+    frame = pd.DataFrame({"state": [value], "action": [0], "next_state": [0]})
+    with pytest.raises(ArgumentError, match=rf"^frame: state\[0\] must be {rule}"):
+        Transitions.from_frame(frame)
+
+
+def test_a_name_that_is_none_is_named_with_its_row(tmp_path):
+    path = tmp_path / "log.csv"
+    columns = [["dock", "hall", "hall"], ["go", "go", "go"], ["hall", "dock", "hall"]]
+    odd = {" hall": "nor begin", "h\u0430ll": r"must differ; .* which looks as \w+\["}
+    for k, column in enumerate(("state", "action", "next_state")):
+        for text, rule in odd.items():
+            given = [[*column] for column in columns]
+            given[k][2] = text if column != "action" else text.replace("hall", "go")
+            if column == "action" and text[0] == "h":
+                continue
+            with pytest.raises(ArgumentError, match=rf"{column}\[2\].*{rule}|{rule}"):
+                Transitions(*given)
+            labels = ("state", "action", "next_state")
+            pd.DataFrame(dict(zip(labels, given, strict=True))).to_csv(
+                path, index=False
+            )
+            with pytest.raises(ValueError, match=rf"{column}\[2\]"):
+                Transitions.load(path)

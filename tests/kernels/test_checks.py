@@ -5,6 +5,9 @@ import re
 import subprocess
 import sys
 import time
+from collections import ChainMap, OrderedDict
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -29,6 +32,96 @@ def nested_list(depth):
     for _ in range(depth):
         value = [value]
     return value
+
+
+class Own(Mapping):
+    """A mapping that is no dict."""
+
+    def __init__(self, content):
+        self.content = content
+
+    def __getitem__(self, key):
+        return self.content[key]
+
+    def __iter__(self):
+        return iter(self.content)
+
+    def __len__(self):
+        return len(self.content)
+
+
+PAIR = oee.FiniteMDP(np.full((2, 1, 2), 0.5), [[0.0], [1.0]], 0, 0.9)
+COUNTED = {"goal": 1, "dock": 0}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {"dock", "goal"},
+        frozenset(COUNTED),
+        iter({"dock", "goal"}),
+        COUNTED.keys() | set(),
+        COUNTED,
+        OrderedDict(COUNTED),
+        MappingProxyType(COUNTED),
+        Own(COUNTED),
+        {0: "dock", 1: "goal"},
+        {"dock": "goal", "goal": "dock"},
+        ChainMap(COUNTED),
+    ],
+    ids=lambda names: type(names).__name__,
+)
+def test_what_has_no_order_or_two_is_no_sequence(names):
+    calls = {
+        "state_names": lambda: PAIR.with_names(names),
+        "action_names": lambda: PAIR.with_names(["a", "b"], names),
+        "logs": lambda: oee.Transitions.concatenate(names),
+        "path": lambda: oee.Transitions.load(names),
+        "episodes": lambda: oee.Transitions.from_episodes(names),
+        "laws": lambda: oee.testing.check_estimator(
+            oee.estimators.Simulator(), laws=names
+        ),
+    }
+    for argument, function in calls.items():
+        with pytest.raises(ValueError, match=rf"^{argument} must be .* \(|got set_it"):
+            function()
+
+
+def test_remedies_for_mappings_of_names_work():
+    wanted = ("dock", "goal")
+    for names in (COUNTED, {1: "goal", 0: "dock"}, Own(COUNTED)):
+        with pytest.raises(ValueError, match="of their numbers: ") as refused:
+            PAIR.with_names(names)
+        remedy = str(refused.value).rpartition("numbers: ")[2].removesuffix(")")
+        made = eval(remedy, {"state_names": names})
+        assert PAIR.with_names(made).state_names == wanted
+    ordered = dict.fromkeys(wanted)
+    for names in (ordered.keys(), iter(wanted), (name for name in wanted), [*wanted]):
+        assert PAIR.with_names(names).state_names == wanted
+
+
+@pytest.mark.parametrize("value", [True, False, np.True_, np.array(False), [True]])
+def test_a_truth_value_is_no_number(value):
+    calls = {
+        "discount": lambda: PAIR.with_discount(value),
+        "slip": lambda: oee.tasks.gridworld(3, value),
+        "weight_of_a": lambda: oee.mix([[1.0]], [[1.0]], value),
+        "seed": lambda: oee.sample_episodes(PAIR, [0, 0], 2, 2, seed=value),
+        "horizon": lambda: oee.policy_value(PAIR, [0, 0], horizon=value),
+    }
+    for argument, function in calls.items():
+        with pytest.raises(ValueError, match=f"^{argument} must (be|hold)"):
+            function()
+
+
+@given(st.floats(0.0, 1e-5, exclude_min=True))
+def test_a_number_beyond_a_limit_is_never_shown_as_the_limit(excess):
+    for value in (1.0 + excess, -excess):
+        if 0.0 <= value <= 1.0:
+            continue
+        with pytest.raises(ValueError, match="discount must be in") as refused:
+            PAIR.with_discount(value)
+        assert not 0.0 <= float(str(refused.value).rpartition(" ")[2]) <= 1.0
 
 
 class Silent:

@@ -10,10 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from containers import (
+    ArrayWithUnit,
     InUnit,
     Lazy,
     Named,
     Quantity,
+    TypeWithUnit,
     masked_at_first,
     with_a_loss,
     without_a_loss,
@@ -51,7 +53,11 @@ OTHERWISE = (
     "reacher_policy",
 )
 # taken by its labels
-BY_NAME = (("initial", "shuffled"),)
+BY_NAME = (
+    ("initial", "shuffled"),
+    ("initial", "shuffled when computed"),
+    ("initial", "shuffled inside"),
+)
 
 
 def is_result(name, function, known):
@@ -258,6 +264,63 @@ def test_tables_of_polars_and_arrow():
         MDP.with_rewards(arrow.array([1.0, None]))
 
 
+def test_what_dask_computes_keeps_its_masks_and_labels():
+    arrays = pytest.importorskip("dask.array")
+    frames = pytest.importorskip("dask.dataframe")
+
+    def read(reward):
+        return Transitions([0, 0], [0, 1], [0, 1], reward=reward).reward
+
+    plain = arrays.from_array(np.array([1.0, -999.0]), chunks=1)
+    masked = arrays.ma.masked_equal(plain, -999.0)
+    assert_array_equal(read(plain), [1.0, -999.0])
+    for reward in (masked, [*masked], masked.persist()):
+        assert_array_equal(read(reward), [1.0, np.nan])
+    series = frames.from_pandas(
+        pd.Series([1, 0], index=[1, 0]), npartitions=1, sort=False
+    )
+    move = {"state": [0, 0], "action": [0, 1], "next_state": [0, 1]}
+    for column in (*move, "reward", "terminated", "episode", "behavior_probability"):
+        with pytest.raises(ValueError, match=rf"^{column} .* index \(1, 0\) is not"):
+            Transitions(**(move | {column: series}))
+    frame = frames.from_pandas(pd.DataFrame(move), npartitions=2)
+    log = Transitions(*(frame[column] for column in move))
+    assert log.action.tolist() == [0, 1]
+    with pytest.raises(
+        ValueError, match=r"got dask.*'s DataFrame .*frame\.compute\(\)"
+    ):
+        Transitions.from_frame(frame)
+    assert Transitions.from_frame(frame.compute()).action.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "dtype",
+    [
+        TypeWithUnit(),
+        TypeWithUnit("1/second"),
+        TypeWithUnit("km", "unit"),
+        TypeWithUnit("degC", "unit"),
+    ],
+    ids=lambda dtype: str(vars(dtype)),
+)
+@pytest.mark.parametrize("column", ["state", "reward", "terminated", "episode"])
+def test_a_column_of_a_frame_whose_type_has_a_unit_is_refused(dtype, column):
+    frame = pd.DataFrame({"state": [0], "action": [0], "next_state": [0]})
+    frame[column] = ArrayWithUnit([1.0], dtype)
+    rule = rf"frame: {column} must be numbers without a unit; it is in .* \(give its"
+    with pytest.raises(ValueError, match=rule):
+        Transitions.from_frame(frame)
+    values = {name: frame[name] for name in frame}
+    with pytest.raises(ValueError, match=rf"^{column} must be numbers without"):
+        Transitions(**values)
+
+
+def test_a_type_without_a_unit_is_read():
+    frame = pd.DataFrame({"state": [0], "action": [0], "next_state": [0]})
+    frame["reward"] = ArrayWithUnit([2.0], TypeWithUnit("dimensionless"))
+    assert Transitions.from_frame(frame).reward.tolist() == [2.0]
+
+
 def test_the_real_libraries_where_they_are_installed():
     found = {}
     for name in ("astropy.units", "pint", "xarray"):
@@ -405,6 +468,11 @@ def test_choices_of_a_policy_are_read_like_arrays():
         np.array([1.5]),
         np.ma.array([1, 2], mask=[0, 1]),
         Quantity(3),
+        True,
+        np.False_,
+        [3, True],
+        np.array([True, False]),
+        {1, 2},
         sparse.coo_array(np.eye(2, dtype=int)),
     ],
     ids=lambda seed: type(seed).__name__,
@@ -417,7 +485,7 @@ def test_seeds_are_what_numpy_documents(seed):
 @pytest.mark.parametrize(
     "seed",
     [
-        *[0, 2**70, True, np.int32(5), [1, 2**80], (1, 2), range(4), [[1, 2], [3]]],
+        *[0, 2**70, np.int32(5), [1, 2**80], (1, 2), range(4), [[1, 2], [3]]],
         *[np.arange(3), np.uint32([7]), np.array(4), np.matrix([0, 1])],
         np.array([1, 2**70], dtype=object),
     ],

@@ -2,7 +2,10 @@
 several of them.
 """
 
+import re
+
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import NAMED, PLAIN
 from numpy.testing import assert_array_equal
@@ -371,3 +374,46 @@ def test_tuples_of_numbers_in_a_mapping_are_distributions():
     assert_array_equal(
         check_policy({0: (np.array(1), None), 1: (0, 1)}, TWO), [[0, 1], [0, 1]]
     )
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        [1.0, 0.0],
+        [True, False],
+        (0.0, 1.0),
+        np.array([1.0, 0.0], dtype=np.float32),
+        pd.array([1.0, 0.0], dtype="Float64"),
+        np.array([True, True]),
+    ],
+    ids=repr,
+)
+def test_actions_are_integers_and_the_remedy_makes_them(policy):
+    mdp = oee.FiniteMDP(np.full((2, 2, 2), 0.5), np.eye(2), 0, 0.9)
+    rule = r"^policy must be integers .* numpy\.asarray\(policy\)\.astype\(int\)"
+    with pytest.raises(ValueError, match=rule):
+        oee.policy_value(mdp, policy)
+    oee.policy_value(mdp, np.asarray(policy).astype(int))
+    for choice in (policy[0], np.float32(policy[0])):
+        with pytest.raises(ValueError, match=r"an action is an integer: int\(action\)"):
+            oee.policy_value(mdp, {0: choice, 1: 0})
+    with pytest.raises(ValueError, match="must have shape"):
+        oee.policy_value(mdp, [0.5, 0.5])
+
+
+def test_the_remedies_for_tables_work():
+    mdp = oee.FiniteMDP(np.full((2, 2, 2), 0.5), np.eye(2), 0, 0.9)
+    polars = pytest.importorskip("polars")
+    narwhals = pytest.importorskip("narwhals")
+    tables = [pd.DataFrame(np.eye(2)), pd.Series([0, 1]), polars.DataFrame(np.eye(2))]
+    tables.append(narwhals.from_native(tables[-1]))
+    for policy in tables:
+        with pytest.raises(
+            ValueError, match="must be an array or a mapping"
+        ) as refused:
+            oee.policy_value(mdp, policy)
+        remedies = re.findall(r"policy\.\w+\(.*?\)", str(refused.value))
+        assert remedies
+        for remedy in remedies:
+            made = eval(remedy, {"policy": policy})
+            assert oee.policy_value(mdp, made) == oee.policy_value(mdp, [0, 1])
