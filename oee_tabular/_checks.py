@@ -373,10 +373,7 @@ def number_in(
     Infinity is allowed only with ``infinite``.
     """
     try:
-        single = _single(value, name, "iufO")
-        if isinstance(single, bool | np.bool_):
-            raise TypeError
-        number = float(single)
+        number = float(_single(value, name, "iufO"))
     except ArgumentError:
         raise
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -424,7 +421,7 @@ def _single(value: Any, name: str, kinds: str) -> Any:
         raise TypeError
     # of an array of objects what is in it: asked itself, it may never return
     single = array.item() if isinstance(plain, np.ndarray) else plain
-    if isinstance(single, np.ndarray):
+    if isinstance(single, np.ndarray | bool | np.bool_):
         raise TypeError
     return single
 
@@ -651,8 +648,10 @@ def _check_seed(seed: Any) -> Any:
     if isinstance(seed, np.ndarray):
         if seed.dtype.hasobject:
             seed = seed.reshape(-1)[: MAX_SEED_WORDS + 1].tolist()
+        elif seed.dtype.kind == "b":
+            raise ArgumentError("seed", "must hold integers; it holds truth values")
         elif seed.dtype.kind not in "iu":
-            raise ArgumentError("seed", f"must hold integers; it holds {seed.dtype}")
+            raise TypeError(f"an array of {seed.dtype}")
         elif seed.ndim == 0:
             seed = seed.item()
     if isinstance(seed, np.ndarray):

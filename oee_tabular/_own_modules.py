@@ -30,6 +30,8 @@ _GO_BETWEENS = (
     "gymnasium.envs.registration",  # whose ids may name a module
 )
 
+FLAGS = "_args_from_interpreter_flags"  # what Python calls those of a new process
+
 # names of modules, without what is in them
 _named: set[str] = set()  # by the user
 _found: dict[str, str] = {}  # a user's own, and the folder that it was found in
@@ -133,7 +135,7 @@ def _prepare_processes() -> None:
 
     flags: Any = multiprocessing.util
     kind: Any = BaseProcess
-    start, list_flags = kind.start, flags._args_from_interpreter_flags
+    start, list_flags = kind.start, getattr(flags, FLAGS, list)
 
     def start_safely(process: BaseProcess) -> None:
         """Start a process without the folder on its path, and with the finders."""
@@ -146,7 +148,7 @@ def _prepare_processes() -> None:
             start(process)
 
     kind.start = start_safely
-    flags._args_from_interpreter_flags = lambda: [*list_flags(), "-P"]
+    setattr(flags, FLAGS, lambda: [*list_flags(), "-P"])
 
 
 class _Handover:

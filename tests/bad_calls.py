@@ -58,6 +58,8 @@ mdp(rewards=pd.Series([0.0, 1.0], index=["b", "a"]))  ->  rewards
   must be a plain array, ...; got Series whose index (b, a) is not 0, 1, 2, ...
 mdp(rewards=pd.DataFrame({"go": [0.0, 1.0], "stay": [0.0, 1.0]}))  ->  rewards
   must be ...; got DataFrame whose columns (go, stay) are not 0, 1, 2
+mdp(discount=True)  ->  discount must be a number; got True
+mdp(discount=1.0000001)  ->  discount must be in [0, 1]; it is 1.0000001
 mdp(discount=np.ma.masked)  ->  discount must have a value; it is masked
 mdp(terminal_state=np.ma.array([0, 1], mask=[0, 1]))  ->  terminal_state[1] must have a value; it is masked
 Transitions([0, pd.NA], [0, 0], [1, 1])  ->  state[1] must have a value; it is missing
@@ -65,6 +67,7 @@ Transitions([0, 1], np.ma.array([0, 0], mask=[1, 0]), [1, 1])  ->  action[0] mus
 occupancy(GRID, np.ma.array(UNIFORM, mask=UNIFORM > 1), horizon=np.ma.masked)  ->  horizon must have a value; it is masked
 sample_transitions(GRID, EVEN, 9, seed=range(10**8))  ->  seed
   must be what numpy.random.default_rng takes; ... longer than 10000
+sample_transitions(GRID, EVEN, 9, seed=True)  ->  seed must be an integer; got True
 sample_transitions(GRID, EVEN, 9, seed=np.array([0.5]))  ->  seed
   must be what numpy.random.default_rng takes; ...an array of float64
 
@@ -84,6 +87,9 @@ HALL.with_names(["a", "b", "nan"])  ->  state_names[2] must not read as a number
 HALL.with_names(["a", "b", ""])  ->  state_names[2] must not be empty, nor begin or end with a blank
 HALL.with_names(["a", " b", "c"])  ->  state_names[1] must not be empty, nor begin or end with a blank
 HALL.with_names("abc")  ->  state_names must be a sequence of texts or tuples
+HALL.with_names({"hall", "dock", "bay"})  ->  state_names must be a sequence of texts or tuples; got set, which has no order
+HALL.with_names({"hall": 2, "dock": 0, "bay": 1})  ->  state_names
+  must be ...; got dict, ... (in the order of their numbers: sorted(state_names, key=state_names.get))
 HALL.with_initial("hal")  ->  initial must be one of the MDP's names; it is 'hal' (did you mean 'hall'?)
 HALL.with_initial(("room", 2))  ->  initial must be one of the MDP's names; ... (did you mean ('room', 1)?)
 HALL.with_initial(3)  ->  initial must be in 0..2
@@ -100,6 +106,7 @@ reweight(HALL, -1.0 * HALL.transitions)  ->  ratio must be ... at s=hall, a=go -
 
 # policies
 policy_value(GRID, np.full((9, 3), 1 / 3))  ->  policy must have shape (9, 4) (states, actions)
+policy_value(GRID, np.zeros(9))  ->  policy must be integers where it has an action for each state; they are float64
 policy_value(GRID, edited(UNIFORM, (4, 0), 0.22))  ->  policy[4] must sum to 1
 policy_value(GRID, edited(UNIFORM, (4, slice(2)), [-0.1, 0.6]))  ->  policy[4, 0] must be nonnegative
 occupancy(GRID, edited(UNIFORM, (4, 1), np.nan))  ->  policy[4, 1] must be finite
@@ -127,7 +134,7 @@ policy_value(HALL, {"hall": 0, 0: 1})  ->  policy's states must differ; state ha
 policy_value(HALL, [0, -1, 0])  ->  policy[1] must be in 0..1
 policy_value(HALL, ["go", "stya", "go"])  ->  policy[1] must be one of the MDP's names; ... (did you mean 'stay'?)
 policy_value(HALL, [0, 1])  ->  policy must have shape (3, 2) (states, actions)
-policy_value(HALL, [True, False, True])  ->  policy must have shape (3, 2) (states, actions)
+policy_value(HALL, [True, False, True])  ->  policy must be integers where it has an action for each state; they are bool
 policy_value(HALL, pd.DataFrame({"go": [1.0] * 3}))  ->  policy must be an array or a mapping ...DataFrame (...to_dict(
 policy_value(HALL, pd.Series([0, 1, 0]))  ->  policy must be an array or a mapping by state; got Series (...to_dict(
 policy_value(mdp(), ["go"] * 2)  ->  policy[0] must be a number in 0..1, since the MDP has no names here
@@ -186,7 +193,7 @@ Transitions(np.array([2**63 + 5], dtype=np.uint64), [0], [1])  ->  state[0] must
 Transitions([0], [0], [1], [np.inf])  ->  reward[0] must be finite
 Transitions([0], [0], [1], behavior_probability=[1.2])  ->  behavior_probability[0] must be in [0, 1]
 Transitions([0], [0], [1], terminated=[2])  ->  terminated[0] must be a boolean
-Transitions([0], [0], [1], episode=[1e300])  ->  episode[0] must be an integer
+Transitions([0], [0], [1], episode=[1e300])  ->  episode[0] must be below 2**63
 Transitions([0, 0], [0, 0], [0, 0], episode=[[], [1]])  ->  episode must be a column of integers
 Transitions(pd.DataFrame({"state": [0]}))  ->  action must be given, ...Transitions.from_frame(frame)
 log(next_state=[2, 2, 0])  ->  next_state[0] must be the state of the next row of its episode, which is 1
@@ -222,7 +229,7 @@ Transitions(["a", "1"], [0, 0], ["a", "b"])  ->  state[1] must be a name, as oth
 Transitions(["a", "nan"], [0, 0], ["a", "b"])  ->  state[1] must be a name
 Transitions(["1", "0"], [0, 0], [1, 0])  ->  state must hold integers; ...(numbers written as text? .astype(int))
 Transitions([1, 0], [0, 0], ["a", "b"])  ->  next_state must hold integers
-Transitions(["a", "a "], [0, 0], ["a", "b"])  ->  state_names[1] must not be empty, nor begin or end with a blank
+Transitions(["a", "a "], [0, 0], ["a", "b"])  ->  state[1] must not be empty, nor begin or end with a blank
 Transitions([(0, 1), (1, ())], [0, 0], ["a", "b"])  ->  state[1] must be a name
 Transitions([0], [0], [2], state_names=["a", "b"])  ->  next_state[0] must have a name, of which there are 2
 Transitions([0], [1], [0], action_names=["a"])  ->  action[0] must have a name, of which there are 1
