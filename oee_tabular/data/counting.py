@@ -10,6 +10,7 @@ and the same wherever it is drawn.
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
@@ -28,6 +29,7 @@ from oee_tabular.data.rules import (
     find_headers,
     find_order_faults,
     find_repeat,
+    is_absent,
 )
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import (
@@ -41,7 +43,7 @@ from oee_tabular.data.tables import (
 )
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import Name
+from oee_tabular.mdp.naming import Name, numbers_of
 from oee_tabular.typing import BoolArray, Column, IntArray
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
@@ -58,7 +60,7 @@ class Limits(NamedTuple):
 
     ``drop``: whether other rows are left out. ``kept``: the transitions of the sample.
     ``has_others``: whether an episode may go on in another file. ``columns``: what the
-    files call a log's columns.
+    files call a log's columns. ``end``: the only state in which an episode can be over.
     """
 
     sizes: tuple[int, int] = (LARGEST, LARGEST)
@@ -67,6 +69,7 @@ class Limits(NamedTuple):
     kept: int = 200_000
     has_others: bool = False
     columns: Mapping[str, Any] = {}
+    end: int | None = None
 
 
 class Sample(NamedTuple):
@@ -177,7 +180,9 @@ class FileCounts(NamedTuple):
     """Hold the sums of a file, how it was recorded, and the labels of its columns.
 
     ``ends`` is None where no episode goes on in another file, and ``episodes`` are
-    those that stand in folders ``column=value``.
+    those that stand in folders ``column=value``. ``dropped``: the numbers of the rows
+    that were left out, by their state and action. ``n_ended``: those that terminated
+    and have no next state, which is the only one in which an episode can be over.
     """
 
     sums: dict[str, Column] | None
@@ -187,6 +192,8 @@ class FileCounts(NamedTuple):
     matching: Matching
     ends: Ends | None = None
     episodes: tuple[str, ...] = ()
+    dropped: Mapping[tuple[int, int], int] = {}
+    n_ended: int = 0
 
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
@@ -223,6 +230,8 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         table.matching,
         count.ends,
         episodes,
+        count.dropped,
+        count.n_ended,
     )
 
 
@@ -243,6 +252,9 @@ class _FileCount:
         self.sums: list[dict[str, Column]] = []
         self.faults: dict[str, FirstFault] = {}  # by kind
         self.n_dropped = 0
+        # rows that were left out, by their state and action
+        self.dropped: Counter[tuple[int, int]] = Counter()
+        self.n_ended = 0
         self.n_truncated = 0
         # rows that have an episode, and runs of such rows with the same one
         self.n_rows = 0
@@ -312,12 +324,24 @@ class _FileCount:
         columns = {}
         is_bad = np.zeros(len(piece.rows), dtype=np.bool_)
         has_episode = ~is_bad
+        has_pair = ~is_bad
+        faults = {}
         for label, raw in piece.columns.items():
-            columns[label], fault = self._check(raw, label)
+            columns[label], faults[label] = self._check(raw, label)
+        if self.limits.end is not None and faults["next_state"] is not None:
+            self._end_in_only_state(piece, columns, faults)
+        for label, fault in faults.items():
             if fault is not None:
                 self._note_fault(label, fault, piece.rows)
                 is_bad[fault.rows] = True
                 has_episode[fault.rows] &= label != "episode"
+                has_pair[fault.rows] &= label not in ("state", "action")
+        if is_bad.any():
+            lost = choose(
+                {label: columns[label] for label in MOVE[:2]}, is_bad & has_pair
+            )
+            pairs = zip(*(column.tolist() for column in lost.values()), strict=True)
+            self.dropped.update(pairs)
         if "episode" in columns and has_episode.any():
             marked = columns | {"is_bad": is_bad, "row": piece.rows}
             self._follow(choose(marked, has_episode))
@@ -327,6 +351,41 @@ class _FileCount:
         if "truncated" in good:
             self.n_truncated += int(good["truncated"].sum())
         add_sums(self.sums, good)
+
+    def _end_in_only_state(
+        self,
+        piece: Piece,
+        columns: dict[str, Column],
+        faults: dict[str, Fault | None],
+    ) -> None:
+        """Let terminated rows without a next state lead to the only one that is an end.
+
+        A row that terminated leads to a state in which an episode is over.
+        """
+        fault = faults["next_state"]
+        terminated = columns.get("terminated")
+        if fault is None or terminated is None:
+            return
+        is_over = terminated[fault.rows].astype(np.bool_)
+        odd = faults["terminated"]
+        if odd is not None:
+            is_over &= ~np.isin(fault.rows, odd.rows)
+        own = numbers_of(self.limits.names[0] or ())
+        raw = piece.columns["next_state"]
+        is_over &= np.array([is_absent(raw[row], own) for row in fault.rows], np.bool_)
+        if not is_over.any():
+            return
+        following = columns["next_state"].copy()
+        following[fault.rows[is_over]] = self.limits.end
+        columns["next_state"] = following
+        self.n_ended += int(is_over.sum())
+        left = fault.rows[~is_over]
+        faults["next_state"] = None
+        if left.size:
+            values = np.delete(raw, fault.rows[is_over])
+            again = self._check(values, "next_state")[1]
+            assert again is not None
+            faults["next_state"] = again._replace(rows=left)
 
     def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
         """Return a column's values, names as the simulator's numbers, and its fault."""

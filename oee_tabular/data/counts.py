@@ -125,6 +125,10 @@ class TransitionCounts:
         valid for independent transitions too.
     sample : Transitions, optional
         Whole episodes of the log, drawn uniformly, for importance sampling.
+    dropped : array_like of int of shape (L, 3), optional
+        The state and the action of rows that were left out, and the number of such
+        rows. Nobody knows where these transitions led: ``Problem.dropped`` holds them,
+        so that intervals let them lead anywhere. None means that there are none.
 
     Raises
     ------
@@ -155,6 +159,7 @@ class TransitionCounts:
     reward_count: Array | None
     recording: Recording
     sample: Transitions | None
+    dropped: IntArray | None
 
     # columns of a log that counts do not have
     reward: ClassVar[None] = None
@@ -176,6 +181,7 @@ class TransitionCounts:
         reward_count: RealArrayLike | None = None,
         recording: Recording = RECORDED_BY_EPISODES,
         sample: Transitions | None = None,
+        dropped: IntArrayLike | None = None,
     ) -> None:
         given = {
             "state": state,
@@ -222,6 +228,8 @@ class TransitionCounts:
             object.__setattr__(self, name, None if column is None else freeze(column))
         object.__setattr__(self, "recording", recording)
         object.__setattr__(self, "sample", sample)
+        lost = None if dropped is None else _check_dropped(dropped)
+        object.__setattr__(self, "dropped", lost)
 
     @classmethod
     def of(cls, matrix: SparseLike, n_actions: int) -> Self:
@@ -270,6 +278,11 @@ class TransitionCounts:
         return _printing.facts("TransitionCounts: a log, counted", rows)
 
     @property
+    def n_dropped_of_pairs(self) -> int:
+        """Return how many rows were left out whose state and action are known."""
+        return 0 if self.dropped is None else int(self.dropped[:, 2].sum())
+
+    @property
     def by_episodes(self) -> bool:
         """Return whether transitions may depend on those before them."""
         return self.recording.by_episodes
@@ -305,6 +318,47 @@ class TransitionCounts:
                 "must be left out where counts are given: they have no timesteps",
             )
         return counts_of(self, self.count, n_states, n_actions)
+
+    def dropped_of_pairs(self, n_states: int, n_actions: int) -> Array:
+        """Return how many rows of each state-action pair were left out.
+
+        Parameters
+        ----------
+        n_states : int
+            The number S of states.
+        n_actions : int
+            The number A of actions.
+
+        Returns
+        -------
+        ndarray of shape (S*A,)
+            The numbers, in row s*A + a.
+
+        Raises
+        ------
+        ValueError
+            If a state or action is outside the given numbers.
+        """
+        numbers = np.zeros(
+            (
+                _checks.positive_integer(n_states, "n_states"),
+                _checks.positive_integer(n_actions, "n_actions"),
+            )
+        )
+        if self.dropped is not None:
+            state, action, number = self.dropped.T
+            for column, values, size in (
+                (0, state, n_states),
+                (1, action, n_actions),
+            ):
+                bad = np.flatnonzero(values >= size)
+                if bad.size:
+                    raise ArgumentError(
+                        f"log.dropped[{bad[0]}, {column}]",
+                        f"must be in 0..{size - 1}; it is {values[bad[0]]}",
+                    )
+            np.add.at(numbers, (state, action), number)
+        return numbers.reshape(-1)
 
     def moves(self) -> RowSums:
         """Return the rows, with the count of each and its rewards.
@@ -365,6 +419,7 @@ class TransitionCounts:
             "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
             "broken_episodes": told.broken or None,
             "rows_dropped": told.dropped or None,
+            "rows_dropped_of_known_pairs": self.n_dropped_of_pairs or None,
             "why": told.reasons,
         }
 
@@ -394,6 +449,8 @@ class TransitionCounts:
             "recording": np.array([int(value) for value in self.recording[:-1]]),
             "reasons": np.array(self.recording.reasons, dtype=np.str_),
         }
+        if self.dropped is not None:
+            arrays["dropped"] = self.dropped
         sample = {} if self.sample is None else self.sample.columns()
         for name, column in sample.items():
             arrays[f"sample_{name}"] = column
@@ -435,6 +492,26 @@ def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
         raise ArgumentError(
             f"{name}[{bad[0]}]", f"must be {rule}; it is {values[bad[0]]:g}"
         )
+
+
+def _check_dropped(dropped: object) -> IntArray | None:
+    """Check the rows that were left out, (state, action, number); None for no row."""
+    table = _checks.as_array(dropped, "dropped", "integers of shape (L, 3)")
+    if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu":
+        raise ArgumentError(
+            "dropped",
+            "must be integers of shape (L, 3), the state, the action and the number of"
+            f" rows; it is {table.dtype} of shape {table.shape}",
+        )
+    least = np.array([0, 0, 1])
+    bad = np.argwhere((table < least) | (table > 2**53))
+    if len(bad):
+        row, column = bad[0].tolist()
+        raise ArgumentError(
+            f"dropped[{row}, {column}]",
+            f"must be in {least[column]}..2**53; it is {table[row, column]}",
+        )
+    return freeze(table.astype(np.int64)) if len(table) else None
 
 
 def _check_counted_rewards(columns: dict[str, Column]) -> None:
@@ -502,6 +579,8 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Make counts of the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
     recording = _check_recording(parts.pop("recording"), parts.pop("reasons"))
+    # files of earlier versions do not have it
+    dropped: Any = parts.pop("dropped", None)
     sample = {
         name.removeprefix("sample_"): parts.pop(name)
         for name in list(parts)
@@ -526,4 +605,13 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     episodes = Transitions(**sample) if sample else None
     if episodes is not None and (episodes.state_names or episodes.action_names):
         raise ArgumentError("sample", "must be in numbers; it holds names")
-    return TransitionCounts(**columns, recording=recording, sample=episodes)
+    counts = TransitionCounts(
+        **columns, recording=recording, sample=episodes, dropped=dropped
+    )
+    if counts.n_dropped_of_pairs > recording.dropped:
+        raise ArgumentError(
+            "dropped",
+            f"must have at most the {recording.dropped} rows that were left out; it has"
+            f" {counts.n_dropped_of_pairs}",
+        )
+    return counts

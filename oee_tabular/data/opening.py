@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -42,7 +43,7 @@ from oee_tabular.data.rules import KEY
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile
 from oee_tabular.data.transitions import Transitions, names_by_label
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import name_text
 from oee_tabular.typing import Column
@@ -80,7 +81,10 @@ def open_log(
         The number of actions in place of a simulator; larger actions are bad.
     bad_rows : {'refuse', 'drop'}, default 'refuse'
         Raise at the first invalid row, or leave such rows out and give their number.
-        The other transitions of a broken episode are still counted.
+        The other transitions of a broken episode are still counted. Where the state and
+        the action of such a row can be read, ``dropped`` counts it, and intervals let
+        it lead anywhere. A terminated row without a next state leads to the simulator's
+        terminal state, where there is only one.
     kept_moves : int, default 200_000
         About how many transitions are kept, in whole episodes, for importance
         sampling. A hash of its name decides whether an episode is kept.
@@ -136,6 +140,8 @@ def open_log(
         drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves")
     )
     limits = limits._replace(columns=named)
+    if not limits.drop:
+        limits = limits._replace(end=None)
     if not (_checks.is_integer(jobs) and jobs == -1):
         _checks.positive_integer(jobs, "jobs")
     if isinstance(path, str | os.PathLike) and holds_counts(path):
@@ -167,6 +173,8 @@ def _add_files(
     episodes = _Episodes(limits)
     columns: dict[str, frozenset[str]] = {}
     folders = Folders()
+    dropped: Counter[tuple[int, int]] = Counter()
+    n_ended = 0
     for file, counts in zip(files, counted, strict=True):
         if not columns:
             warn_read_as(repr(file.path), counts.matching.renamed)
@@ -176,6 +184,8 @@ def _add_files(
         folders.add(file, counts.known, counts.episodes)
         if counts.sums is not None:
             add_sums(sums, counts.sums)
+        dropped.update(counts.dropped)
+        n_ended += counts.n_ended
         recording = recording.join(episodes.add(counts))
     episodes.end()
     if not sums:
@@ -186,7 +196,20 @@ def _add_files(
         )
     warn_of(episodes.notes)
     recording = episodes.correct(recording)
-    return _to_counts(join_sums(sums), recording, episodes.sample)
+    if n_ended:
+        _warn_of_ends(n_ended, limits)
+    return _to_counts(join_sums(sums), recording, episodes.sample, dropped)
+
+
+def _warn_of_ends(number: int, limits: Limits) -> None:
+    """Warn of terminated rows without a next state, and say where they are read to end."""
+    end = name_text(limits.names[0], limits.end)
+    rows = "1 terminated row has" if number == 1 else f"{number} terminated rows have"
+    _checks.warn(
+        f"{rows} no next_state: read as {_checks.show(end)}, the only state of the"
+        " simulator in which an episode is over",
+        DataWarning,
+    )
 
 
 class _Episodes:
@@ -291,7 +314,10 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
 
 
 def _to_counts(
-    sums: dict[str, Column], recording: Recording, sample: Sample
+    sums: dict[str, Column],
+    recording: Recording,
+    sample: Sample,
+    dropped: Mapping[tuple[int, int], int],
 ) -> TransitionCounts:
     """Make counts in the order of s, a, s', terminated, with their sample.
 
@@ -309,6 +335,10 @@ def _to_counts(
         place = rows.pop("place")
         episode = np.cumsum(np.diff(place, prepend=place[:1]) != 0)
         columns["sample"] = Transitions(**rows, episode=episode)
+    if dropped:
+        columns["dropped"] = np.array(
+            [(*pair, number) for pair, number in sorted(dropped.items())]
+        )
     return TransitionCounts(**columns, recording=recording)
 
 
@@ -324,7 +354,9 @@ def _limits(
                 "must be left out where simulator is given, which has its own",
             )
         names = (simulator.state_names, simulator.action_names)
-        return Limits((simulator.n_states, simulator.n_actions), names)
+        ends = np.flatnonzero(simulator.absorbing())
+        end = int(ends[0]) if len(ends) == 1 else None
+        return Limits((simulator.n_states, simulator.n_actions), names, end=end)
     states = LARGEST
     actions = LARGEST
     if n_states is not None:

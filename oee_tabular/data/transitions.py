@@ -587,6 +587,9 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
             f"; {facts['rows_dropped']} invalid rows dropped,"
             f" {facts['broken_episodes'] or 0} episodes broken"
         )
+        if facts.get("rows_dropped_of_known_pairs"):
+            known = facts["rows_dropped_of_known_pairs"]
+            text += f" ({known} of known state and action)"
     return text
 
 

@@ -20,6 +20,7 @@ MAX_ROW_SUM_ERROR = 1e-3  # a probability
 MIN_WEIGHTED = 10.0  # an effective sample size
 MIN_WEIGHTED_SHARE = 0.05  # an effective sample size, as a share of the episodes
 MAX_GAP = 1e-6  # nats
+MAX_UNREAD_SHARE = 0.01  # of the log's rows, which intervals do not allow for
 SMALLEST_NORMAL = 2.0**-1022
 MAX_ERROR_BOUND = 1e-6  # a share of the value, or of the largest reward
 # the kind of finding about values that rest on a few episodes, whose rows a short
@@ -294,10 +295,49 @@ def rewards_contradict(
     )
 
 
-def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
-    """Warn of invalid rows of the log's files, which were not counted."""
-    text = f"{rows} invalid rows of the log were not counted: {'; '.join(reasons)}."
-    return (Finding("dropped", 0.0, text),) if rows else ()
+def rows_dropped(
+    rows: int, reasons: tuple[str, ...], by_pair: Array, kept: float
+) -> Findings:
+    """Warn of invalid rows of the log's files, which were not counted.
+
+    ``by_pair`` is their number in each state-action pair, of those whose state and
+    action can be read; ``kept`` is the number of the log's other rows.
+    """
+    if not rows:
+        return ()
+    known = float(by_pair.sum())
+    unknown = rows - known
+    share = unknown / (rows + kept)
+    why = f": {'; '.join(reasons)}" if reasons else ""
+    found = []
+    if known:
+        pairs = _count_pairs(by_pair)
+        noun = "row" if known == 1 else "rows"
+        text = (
+            f"{known:g} invalid {noun} of the log in {pairs} left out of every model:"
+            " it is not known where these transitions led. Likelihood and guaranteed"
+            " intervals let them lead anywhere. Values and standard errors ignore them,"
+            f" as if they were like the others{why}."
+        )
+        found.append(Finding("unread", 1.0, text))
+        why = ""
+    if unknown:
+        noun = "row" if unknown == 1 else "rows"
+        text = (
+            f"{unknown:g} invalid {noun} of the log ({share:.2%} of all rows) were not"
+            " counted, since their state or action cannot be read. Values and intervals"
+            f" are as if they were like the others{why}."
+        )
+        severity = 1.0 if share > MAX_UNREAD_SHARE else 0.0
+        found.append(Finding("dropped", severity, text))
+    return tuple(found)
+
+
+def _count_pairs(numbers: Array) -> str:
+    """Return in how many state-action pairs a number is positive, with the verb."""
+    pairs = int((numbers > 0).sum())
+    noun = "state-action pair" if pairs == 1 else "state-action pairs"
+    return f"{pairs} {noun} {'is' if numbers.sum() == 1 else 'are'}"
 
 
 def moves_dropped(dropped: Array, kept: float) -> Findings:

@@ -258,7 +258,9 @@ class Problem:
     def dropped(self) -> Array:
         """Return the number of transitions of each pair that were dropped, (S*A,).
 
-        They are impossible in the simulator.
+        They are impossible in the simulator, or rows of the log's files that were left
+        out although their state and action can be read. Intervals let them lead
+        anywhere.
         """
         return self._split_counts[1]
 
@@ -268,9 +270,22 @@ class Problem:
         counts = self._counts
         if counts is None:
             counts = self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+        dropped = self._unread
         if self.impossible == "refuse":
-            return counts, np.zeros(counts.shape[0])
-        return without_impossible(counts, self.simulator)
+            return counts, dropped
+        kept, impossible = without_impossible(counts, self.simulator)
+        return kept, impossible + dropped
+
+    @cached_property
+    def _unread(self) -> Array:
+        """Return the number of rows of each pair that the log's files lost, (S*A,).
+
+        Counts that were given replace the log's, and have none.
+        """
+        shape = self.simulator.n_states, self.simulator.n_actions
+        if self._counts is None and isinstance(self.log, TransitionCounts):
+            return self.log.dropped_of_pairs(*shape)
+        return np.zeros(shape[0] * shape[1])
 
     @property
     def observed(self) -> Transitions | Csr:
@@ -345,10 +360,15 @@ class Problem:
             )
         result += findings.behavior_contradicts(self.behavior_conflict)
         if isinstance(log, TransitionCounts):
-            result += findings.rows_dropped(*log.recording[-2:])
+            lost = self._unread
+            result += findings.rows_dropped(
+                log.recording.dropped, log.recording.reasons, lost, len(log)
+            )
             kept = 0 if log.sample is None else log.sample.n_episodes or 0
             result += findings.episodes_sampled(kept, log.recording.episodes)
-        result += findings.moves_dropped(self.dropped, float(self.counts.sum()))
+        result += findings.moves_dropped(
+            self.dropped - self._unread, float(self.counts.sum())
+        )
         if self.simulator.sampling is not None:
             result.append(findings.SAMPLED)
         return tuple(result)
