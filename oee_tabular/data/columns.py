@@ -14,6 +14,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
+from oee_tabular.data.copies import refuse_same_bytes
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.joining import join_logs
 from oee_tabular.data.labels import ColumnsLike
@@ -430,6 +431,7 @@ class LogColumns:
         """
         form = cls.FILES.with_columns(columns)
         found = files.find_log_files(path)
+        refuse_same_bytes(found)
         reported: set[Any] = set()
         parts = (files.load(form, file, reported, names) for file in found)
         log: Self = join_logs(cls, found, parts)

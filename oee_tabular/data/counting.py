@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from oee_tabular.data.copies import N_GROUPED_ROWS, EndRows, Print
 from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.joining import Row, order_hint
 from oee_tabular.data.labels import Matching
@@ -179,8 +180,8 @@ class Ends(NamedTuple):
 class FileCounts(NamedTuple):
     """Hold the sums of a file, how it was recorded, and the labels of its columns.
 
-    ``ends`` is None where no episode goes on in another file, and ``episodes`` are
-    those that stand in folders ``column=value``. ``dropped``: the numbers of the rows
+    ``ends`` is None where no episode goes on in another file, ``ends_print`` where
+    there is no other file, and ``episodes`` are those that stand in folders ``column=value``. ``dropped``: the numbers of the rows
     that were left out, by their state and action. ``n_ended``: those that terminated
     and have no next state, which is the only one in which an episode can be over.
     """
@@ -194,6 +195,7 @@ class FileCounts(NamedTuple):
     episodes: tuple[str, ...] = ()
     dropped: Mapping[tuple[int, int], int] = {}
     n_ended: int = 0
+    ends_print: Print | None = None
 
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
@@ -232,6 +234,7 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         episodes,
         count.dropped,
         count.n_ended,
+        count.ends_rows.print(),
     )
 
 
@@ -255,6 +258,7 @@ class _FileCount:
         # rows that were left out, by their state and action
         self.dropped: Counter[tuple[int, int]] = Counter()
         self.n_ended = 0
+        self.ends_rows = EndRows()
         self.n_truncated = 0
         # rows that have an episode, and runs of such rows with the same one
         self.n_rows = 0
@@ -281,12 +285,18 @@ class _FileCount:
         folders = {label for label, _ in self.file.fixed}
         if len(names) < len(taken) or not folders.isdisjoint(names.values()):
             return False
-        groups = sum_groups(self.path, names)
-        if groups is None or self._has_odd_values(groups, table):
+        n_ends = N_GROUPED_ROWS if self.limits.has_others else 0
+        found = sum_groups(self.path, names, EndRows.LABELS, n_ends)
+        if found is None or self._has_odd_values(found[0], table):
             return False
+        groups, ends = found
         if "truncated" in groups:
             self.n_truncated = int(groups["count"][groups["truncated"]].sum())
         add_sums(self.sums, groups)
+        for end in ends:
+            self.ends_rows.add(
+                {label: self._check(raw, label)[0] for label, raw in end.items()}
+            )
         return True
 
     def _has_odd_values(self, groups: dict[str, Column], table: Table) -> bool:
@@ -351,6 +361,8 @@ class _FileCount:
         if "truncated" in good:
             self.n_truncated += int(good["truncated"].sum())
         add_sums(self.sums, good)
+        if self.limits.has_others:
+            self.ends_rows.add(good)
 
     def _end_in_only_state(
         self,

@@ -16,6 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
+from oee_tabular.data.copies import Namesakes, Overlaps, print_of
 from oee_tabular.data.rules import settle_episodes
 from oee_tabular.data.tables import LogFile
 from oee_tabular.exceptions import ArgumentError, DataWarning
@@ -187,6 +188,8 @@ def join_logs(
     shifts: list[int] = []
     notes: list[str] = []
     folders = Folders()
+    namesakes = Namesakes(found)
+    overlaps = Overlaps()
     last = None
     for file, columns in zip(found, parts, strict=True):
         # an npz of ours says itself where its episodes end, and is not checked so far
@@ -194,6 +197,9 @@ def join_logs(
         n = len(columns["state"]) if is_table else 1
         if not n and len(found) > 1 and (logs or file is not found[-1]):
             continue
+        if len(found) > 1:
+            namesakes.add(file.path, columns)
+            overlaps.add(file.path, print_of(columns))
         verdict = Verdict(is_one=False)
         shift = 0
         if "episode" in columns and n and is_table:
@@ -223,6 +229,7 @@ def join_logs(
         is_one.append(verdict.is_one)
         shifts.append(shift)
     warn_of(notes)
+    overlaps.warn()
     if len(logs) == 1:
         return logs[0]
     if not any(is_one):

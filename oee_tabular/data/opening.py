@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _parallel
+from oee_tabular.data.copies import Namesakes, Overlaps, refuse_same_bytes
 from oee_tabular.data.counting import (
     LARGEST,
     WAY,
@@ -153,6 +154,7 @@ def open_log(
     from tqdm import tqdm
 
     files = find_log_files(path)
+    refuse_same_bytes(files)
     limits = limits._replace(has_others=len(files) > 1)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
@@ -173,6 +175,8 @@ def _add_files(
     episodes = _Episodes(limits)
     columns: dict[str, frozenset[str]] = {}
     folders = Folders()
+    namesakes = Namesakes(files)
+    overlaps = Overlaps()
     dropped: Counter[tuple[int, int]] = Counter()
     n_ended = 0
     for file, counts in zip(files, counted, strict=True):
@@ -182,7 +186,9 @@ def _add_files(
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
         folders.add(file, counts.known, counts.episodes)
+        overlaps.add(file.path, counts.ends_print)
         if counts.sums is not None:
+            namesakes.add_sums(file.path, counts.sums)
             add_sums(sums, counts.sums)
         dropped.update(counts.dropped)
         n_ended += counts.n_ended
@@ -195,6 +201,7 @@ def _add_files(
             f" first of which is {files[0].path!r}",
         )
     warn_of(episodes.notes)
+    overlaps.warn()
     recording = episodes.correct(recording)
     if n_ended:
         _warn_of_ends(n_ended, limits)

@@ -24,7 +24,7 @@ import re
 import unicodedata
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -327,13 +327,16 @@ def count_parquet_rows(path: str) -> int:
         return int(run(f"SELECT count(*) FROM {PARQUET}").fetchone()[0])
 
 
-def sum_groups(path: str, names: Mapping[str, str]) -> dict[str, Column] | None:
+def sum_groups(
+    path: str, names: Mapping[str, str], ends: Sequence[str] = (), n_ends: int = 0
+) -> tuple[dict[str, Column], list[dict[str, Column]]] | None:
     """Return the columns of ``sum_rows`` of a parquet file, summed by DuckDB.
 
     ``names``: the file's label of each column of a log. Truncated transitions are
     apart; of other columns there are least, largest and number in each. It takes half
-    of the time of the pieces. None where DuckDB cannot compute them, which a look at
-    the values will explain.
+    of the time of the pieces. Beside the sums are the columns ``ends`` of the first and
+    the last ``n_ends`` rows. None where DuckDB cannot compute them, which a look at the
+    values will explain.
     """
     import duckdb
 
@@ -355,7 +358,28 @@ def sum_groups(path: str, names: Mapping[str, str]) -> dict[str, Column] | None:
             groups = run(query).fetchnumpy()
         except (duckdb.ConversionException, duckdb.BinderException):
             return None
-    return {label: _fill_missing(column) for label, column in groups.items()}
+        n_rows = int(groups["count"].sum())
+        spans = [(0, n_rows)]
+        if 2 * n_ends < n_rows:
+            spans = [(0, n_ends), (n_rows - n_ends, n_rows)]
+        chosen = ", ".join(
+            f"{quote_label(names[label])} AS {label}"
+            for label in ends
+            if label in names
+        )
+        found = [
+            run(
+                f"SELECT {chosen} FROM {PARQUET} LIMIT {stop - start} OFFSET {start}"
+            ).fetchnumpy()
+            for start, stop in (spans if n_ends else ())
+        ]
+    return (
+        {label: _fill_missing(column) for label, column in groups.items()},
+        [
+            {label: _fill_missing(column) for label, column in part.items()}
+            for part in found
+        ],
+    )
 
 
 def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
@@ -465,7 +489,7 @@ def quote_label(label: str) -> str:
 
 
 @contextmanager
-def _open_csv(path: str, encoding: str | None = None) -> Iterator[Any]:
+def open_csv(path: str, encoding: str | None = None) -> Iterator[Any]:
     """Open a file, or what is compressed in it, as bytes or as text of an encoding."""
     with ExitStack() as stack:
         handle: Any = stack.enter_context(_files.open_regular(path))
@@ -513,7 +537,7 @@ class Line(NamedTuple):
 def _csv_header(path: str) -> tuple[list[str], list[str], str]:
     """Return the labels, the first values and the encoding of a CSV file."""
     with _csv_errors(path):
-        with _open_csv(path) as handle:
+        with open_csv(path) as handle:
             mark = handle.read(3)
         if mark[:2] == b"\xfe\xff":
             raise ValueError(
@@ -535,7 +559,7 @@ def _csv_lines(path: str, encoding: str) -> Iterator[Line]:
     """Yield each line that is not empty."""
     wrong: dict[int, str] = {}
     number = 0
-    with _csv_errors(path), _open_csv(path, encoding) as handle:
+    with _csv_errors(path), open_csv(path, encoding) as handle:
         reader = csv.reader(_lines_of_whole_fields(handle, wrong), strict=True)
         try:
             for number, fields in enumerate(reader, 1):
@@ -582,7 +606,7 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
     _, first, encoding = _csv_header(path)
     n_read = 0
     if not _is_small(path):
-        with _csv_errors(path), _open_csv(path, encoding) as text:
+        with _csv_errors(path), open_csv(path, encoding) as text:
             is_plain = encoding != "utf-16"
             blocks = _Blocks(text.buffer if is_plain else _Recoded(text), len(labels))
             if encoding == "utf-8-sig":
@@ -599,7 +623,7 @@ def _is_small(path: str) -> bool:
     """Say whether a file, unpacked, is as small as Python reads quickly."""
     if not path.lower().endswith(".gz"):
         return os.path.getsize(path) < MAX_SMALL_BYTES
-    with _csv_errors(path), _open_csv(path) as handle:
+    with _csv_errors(path), open_csv(path) as handle:
         return len(handle.read(MAX_SMALL_BYTES)) < MAX_SMALL_BYTES
 
 
@@ -805,7 +829,7 @@ def csv_frame(path: str) -> Any:
             problem = HEADER_RULE
         if problem:
             raise ArgumentError(f"{name!r}: row {row} (line {line.number})", problem)
-    with _csv_errors(name), _open_csv(name) as handle:
+    with _csv_errors(name), open_csv(name) as handle:
         frame = _call_pandas(
             handle, encoding=encoding, keep_default_na=False, na_values=[""]
         )

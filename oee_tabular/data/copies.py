@@ -1,0 +1,333 @@
+"""Files of one log that hold the same transitions, which would count twice.
+
+Two files of the same bytes, or of one name in two formats with the same rows, are an
+error. Of two files that follow each other, the same run of rows is warned of: exports
+that overlap. The rows are compared by windows of ``N_WINDOW`` rows that stand once in
+each of the two files. Runs may be the same by chance, as where little is random: p(row)
+being the share of a row among those of its state in both files, the warning takes ::
+
+    - sum_rows log2 p(row) >= MIN_BITS .
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular import _checks, _files
+from oee_tabular.data.rules import KEY
+from oee_tabular.data.tables import LogFile, count_parquet_rows, open_csv
+from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.typing import Column
+
+N_WINDOW = 20  # rows that are compared at once; fewer may well be the same
+MIN_BITS = 40.0  # a chance of 1e-12
+N_ROWS = 2**14  # at each end of a file, which are compared
+N_GROUPED_ROWS = 2**12  # of a file whose other rows are not read one by one
+BLOCK_BYTES = 2**20
+ENDINGS = (".csv.gz", ".csv", ".parquet", ".npz")
+REMEDY = (
+    " (leave one of the two out; if they are two recordings that happen to be the same,"
+    " join them in Python: Transitions.concatenate([Transitions.load(path), ...])"
+    ".save('log.npz'))"
+)
+Hashes = NDArray[np.uint64]
+
+
+def refuse_same_bytes(files: Sequence[LogFile]) -> None:
+    """Raise an ArgumentError where two of the files hold the same bytes.
+
+    Of files of a few rows, which may be the same by chance, there is a warning.
+    """
+    pairs = _find_same_bytes(files)
+    for one, other in pairs:
+        n_rows = _count_rows(one)
+        words = f"{one!r} and {other!r} hold the same {n_rows} rows"
+        if n_rows >= N_WINDOW:
+            raise ArgumentError(
+                "path", f"must name each recording once; {words}{REMEDY}"
+            )
+    if pairs:
+        more = f" ({len(pairs)} such files in all)" if len(pairs) > 1 else ""
+        _checks.warn(
+            f"{words}{more}: they are counted twice, as two recordings; if they are"
+            " copies, leave one of them out",
+            DataWarning,
+        )
+
+
+def _find_same_bytes(files: Sequence[LogFile]) -> list[tuple[str, str]]:
+    """Return the pairs of files that hold the same bytes."""
+    if len(files) < 2:
+        return []
+    by_size = defaultdict[int, list[str]](list)
+    for file in files:
+        path = _files.local(file.path)
+        if os.path.isfile(path):  # anything else is an error where it is read
+            by_size[os.path.getsize(path)].append(path)
+    pairs = []
+    for size, paths in by_size.items():
+        # most files differ in their first block
+        if size == 0 or len(paths) < 2:
+            continue
+        for alike in _group(paths, 1):
+            for same in _group(alike, -1) if size > BLOCK_BYTES else [alike]:
+                pairs += [(same[0], other) for other in same[1:]]
+    return pairs
+
+
+def _group(paths: Iterable[str], n_blocks: int) -> list[list[str]]:
+    """Return the files whose first blocks are the same, -1 for all, two or more each."""
+    groups = defaultdict[bytes, list[str]](list)
+    for path in paths:
+        digest = hashlib.sha256()
+        with _files.open_regular(path) as handle:
+            n_read = 0
+            while n_read != n_blocks and (block := handle.read(BLOCK_BYTES)):
+                digest.update(block)
+                n_read += 1
+        groups[digest.digest()].append(path)
+    return [group for group in groups.values() if len(group) > 1]
+
+
+def _count_rows(path: str) -> int:
+    """Return about how many rows a file has."""
+    if path.lower().endswith(".parquet"):
+        return count_parquet_rows(path)
+    if path.lower().endswith(".npz"):
+        arrays = _files.read_npz(path)
+        return max((len(array) for array in arrays.values() if array.ndim), default=0)
+    with open_csv(path) as handle:
+        blocks = iter(lambda: handle.read(BLOCK_BYTES), b"")
+        return max(sum(block.count(b"\n") for block in blocks) - 1, 0)
+
+
+def find_namesakes(files: Sequence[LogFile]) -> dict[str, str]:
+    """Return, by its path, the name that a file shares with one of another format."""
+    names = defaultdict[str, list[str]](list)
+    for file in files:
+        ending = next((e for e in ENDINGS if file.path.lower().endswith(e)), "")
+        if ending:
+            names[file.path[: -len(ending)]].append(file.path)
+    return {
+        path: name for name, paths in names.items() if len(paths) > 1 for path in paths
+    }
+
+
+class Namesakes:
+    """Refuse files of one name in several formats that hold the same transitions."""
+
+    def __init__(self, files: Sequence[LogFile]) -> None:
+        self.names = find_namesakes(files)
+        self.found = defaultdict[str, list[tuple[str, Sequence[Column]]]](list)
+
+    def add(self, path: str, columns: Mapping[str, Column]) -> None:
+        """Raise an ArgumentError where a namesake has the same columns."""
+        name = self.names.get(path)
+        if name is None:
+            return
+        own = [columns[label] for label in (*KEY, "count") if label in columns]
+        for other, theirs in self.found[name]:
+            is_same = len(own) == len(theirs) and all(
+                np.array_equal(*pair) for pair in zip(own, theirs, strict=True)
+            )
+            if is_same:
+                raise ArgumentError(
+                    "path",
+                    f"must name each recording once; {other!r} and {path!r} hold the"
+                    f" same transitions{REMEDY}",
+                )
+        self.found[name].append((path, own))
+
+    def add_sums(self, path: str, sums: Mapping[str, Column]) -> None:
+        """Raise an ArgumentError where a namesake has the same sums, in any order."""
+        if path in self.names:
+            order = np.lexsort([sums[label] for label in reversed(KEY)])
+            self.add(path, {label: sums[label][order] for label in (*KEY, "count")})
+
+
+class Print(NamedTuple):
+    """Hold hashes of rows at both ends of a file, and those of their states.
+
+    The rows of each end stand together.
+    """
+
+    rows: tuple[Hashes, ...]
+    states: tuple[Hashes, ...]
+
+
+class EndRows:
+    """Keep the first and the last ``N_ROWS`` rows of a file that is read in pieces."""
+
+    LABELS = (*KEY, "reward")
+
+    def __init__(self) -> None:
+        self.head: list[dict[str, Column]] = []
+        self.tail: list[dict[str, Column]] = []
+        self.n_head = 0
+
+    def add(self, columns: Mapping[str, Column]) -> None:
+        """Add the next rows."""
+        own = {label: columns[label] for label in self.LABELS if label in columns}
+        n = len(own["state"])
+        cut = min(N_ROWS - self.n_head, n)
+        if cut:
+            self.head.append({label: column[:cut] for label, column in own.items()})
+            self.n_head += cut
+        if cut == n:
+            return
+        start = max(cut, n - N_ROWS)
+        last = {label: column[start:].copy() for label, column in own.items()}
+        if n - start < N_ROWS:
+            # as many of the rows before as are wanted
+            wanted = N_ROWS - (n - start)
+            last = {
+                label: np.concatenate(
+                    [*(part[label][-wanted:] for part in self.tail), column]
+                )
+                for label, column in last.items()
+            }
+        self.tail = [last]
+
+    def print(self) -> Print | None:
+        """Return the hashes; None without rows."""
+        parts = []
+        for end in (self.head, self.tail):
+            if end:
+                parts.append(
+                    {
+                        label: np.concatenate([part[label] for part in end])
+                        for label in end[0]
+                    }
+                )
+        if not parts:
+            return None
+        states = tuple(_hash(part["state"]) for part in parts)
+        rows = tuple(
+            _mix([_hash(column) for column in part.values()]) for part in parts
+        )
+        return Print(rows, states)
+
+
+def print_of(columns: Mapping[str, Column]) -> Print | None:
+    """Return the hashes of the rows at both ends of a table."""
+    ends = EndRows()
+    ends.add(columns)
+    return ends.print()
+
+
+_ODD = np.uint64(0x9E3779B97F4A7C15)
+
+
+def _hash(column: Column) -> Hashes:
+    """Return 64 bits for each value of a column, the same for the same values."""
+    if column.ndim > 1:
+        return _mix([_hash(part) for part in column.T])
+    if column.dtype.kind == "f":
+        bits: Hashes = (column.astype(np.float64) + 0.0).view(np.uint64)
+        return _scramble(bits)
+    if column.dtype.kind in "biu":
+        return _scramble(column.astype(np.int64).view(np.uint64))
+    import pandas as pd
+
+    texts = np.array([str(item) for item in column.tolist()], dtype=object)
+    return np.asarray(pd.util.hash_array(texts))
+
+
+def _scramble(bits: Hashes) -> Hashes:
+    """Return well-mixed bits of splitmix64."""
+    with np.errstate(over="ignore"):
+        x = bits + _ODD
+        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return np.asarray(x ^ (x >> np.uint64(31)))
+
+
+def _mix(parts: Sequence[Hashes]) -> Hashes:
+    """Return one hash of several, in their order."""
+    total = np.zeros(len(parts[0]), dtype=np.uint64)
+    for part in parts:
+        with np.errstate(over="ignore"):
+            total = _scramble(total * _ODD + part)
+    return total
+
+
+def _hash_windows(rows: Hashes) -> Hashes:
+    """Return a hash of each ``N_WINDOW`` rows that follow each other."""
+    n = len(rows) - N_WINDOW + 1
+    total = np.zeros(max(n, 0), dtype=np.uint64)
+    with np.errstate(over="ignore"):
+        for k in range(N_WINDOW if n > 0 else 0):
+            total = total * _ODD + rows[k : k + n]
+    return total
+
+
+def find_shared_rows(one: Print, other: Print) -> int:
+    """Return how many rows of both are copies, 0 where they may be the same by chance."""
+    windows = [
+        np.concatenate([_hash_windows(end) for end in each.rows])
+        for each in (one, other)
+    ]
+    single = []
+    for each in windows:
+        values, number = np.unique(each, return_counts=True)
+        single.append(values[number == 1])
+    shared = np.intersect1d(*single, assume_unique=True)
+    if not shared.size:
+        return 0
+    is_shared = []
+    for end in one.rows:
+        starts = np.isin(_hash_windows(end), shared)
+        covered = np.zeros(len(end) + 1, dtype=np.int64)
+        np.add.at(covered, np.flatnonzero(starts), 1)
+        np.add.at(covered, np.flatnonzero(starts) + N_WINDOW, -1)
+        is_shared.append(np.cumsum(covered)[:-1] > 0)
+    chosen = np.concatenate(is_shared)
+    rows = np.concatenate([*one.rows, *other.rows])
+    states = np.concatenate([*one.states, *other.states])
+    numbers: list[Any] = []
+    for each in (rows, states):
+        _, code, number = np.unique(each, return_inverse=True, return_counts=True)
+        numbers.append(number[code][: len(chosen)][chosen])
+    bits = float(np.log2(numbers[1] / numbers[0]).sum())
+    return int(chosen.sum()) if bits >= MIN_BITS else 0
+
+
+class Overlaps:
+    """Find files that repeat rows of the file before them, and warn of them."""
+
+    def __init__(self) -> None:
+        self.last: tuple[str, Print] | None = None
+        self.found: list[tuple[str, str, int]] = []
+
+    def add(self, path: str, rows: Print | None) -> None:
+        """Compare a file with the one before it."""
+        if rows is None:
+            return
+        if self.last is not None:
+            other, before = self.last
+            n_shared = find_shared_rows(before, rows)
+            if n_shared:
+                self.found.append((other, path, n_shared))
+        self.last = (path, rows)
+
+    def warn(self) -> None:
+        """Warn of the files that share rows, with the first of them."""
+        if not self.found:
+            return
+        one, other, n_rows = self.found[0]
+        more = ""
+        if len(self.found) > 1:
+            more = f" ({len(self.found)} such pairs of files in all)"
+        _checks.warn(
+            f"{n_rows} rows stand in {one!r} and in {other!r}, in the same order, and"
+            f" count twice{more}: if the files overlap, leave these rows out of one of"
+            " them",
+            DataWarning,
+        )
