@@ -410,6 +410,7 @@ def describe_files(
         What it holds, in one or more lines.
     """
     from oee_tabular.continuous.log import holds_states
+    from oee_tabular.data.files import find_log_files
 
     file = files[0]
     path = Path(_files.local(files[0]))
@@ -420,9 +421,9 @@ def describe_files(
 
         return "report", summary(path)
     is_pattern = not path.exists() and bool(set("*?[") & set(file))
-    has_parts = path.is_dir() and any(
-        part.suffix in (".csv", ".parquet", ".npz") for part in path.iterdir()
-    )
+    has_parts = path.is_dir() and len(files) == 1
+    if has_parts:
+        has_parts = Path(find_log_files(file)[0].path) != path
     is_single = len(files) == 1 and not is_pattern and not has_parts
     if is_single and holds_states(file, columns):
         states = oee.ContinuousTransitions.load(file, columns=columns)
@@ -452,14 +453,19 @@ def describe_files(
 def _describe_labels(
     log: Any, files: list[str], columns: Mapping[str, Any] | None
 ) -> str:
-    """Return a line with the labels of the first file that are not the log's own."""
+    """Return lines with the number of files, and labels that are not the log's own.
+
+    The labels are those of the first file.
+    """
     from oee_tabular._checks import show
     from oee_tabular.data.files import find_log_files
     from oee_tabular.data.tables import read_labels
 
-    first = find_log_files(files)[0]
+    found_files = find_log_files(files)
+    number = f"\nfiles: {len(found_files)}" if len(found_files) > 1 else ""
+    first = found_files[0]
     if first.suffix not in (".csv", ".parquet"):
-        return ""
+        return number
     labels = [*read_labels(first.path), *(label for label, _ in first.fixed)]
     found = log.FILES.with_columns(columns).match(
         list(dict.fromkeys(labels)), first.path
@@ -469,7 +475,7 @@ def _describe_labels(
         for column, group in found.taken.items()
         if group != (column,)
     ]
-    return f"\ncolumns: {'; '.join(words)}" if words else ""
+    return number + (f"\ncolumns: {'; '.join(words)}" if words else "")
 
 
 def _describe_states(log: Any) -> str:

@@ -231,6 +231,15 @@ def _split_label(column: str, label: str, log: list[str]) -> Any:
     return label
 
 
+def count_log_files(log: list[str], recorded: Any) -> int:
+    """Return how many files hold a log, by its names; of counts, how many did."""
+    from oee_tabular.data.files import find_log_files
+
+    if isinstance(recorded, oee.TransitionCounts):
+        return recorded.recording.files
+    return len(find_log_files(log))
+
+
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
     """Read the policy that ``spec`` names, as an (S, A) array."""
     from oee_tabular.data.tables import csv_frame

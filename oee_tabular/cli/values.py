@@ -14,6 +14,7 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files, _progress, _writing
 from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import (
+    count_log_files,
     policies_of,
     read_box,
     read_columns,
@@ -537,6 +538,7 @@ def _evaluate_finite(
         "simulator_name": simulator,
         "log_name": ", ".join(log),
         "log_files": log,
+        "number_of_log_files": count_log_files(log, problem.log),
         "action_noise": action_noise,
         "policy_names": specs,
         "date": date_of([simulator, *log, *specs.values()]),

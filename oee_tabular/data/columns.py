@@ -380,8 +380,8 @@ class LogColumns:
         Raises
         ------
         ValueError
-            If a file is no log; the error names the file, the column, the row and the
-            rule.
+            If a file is no log, or a copy of another one; the error names the file, the
+            column, the row and the rule.
         OSError
             If a file is not there.
 
@@ -407,6 +407,11 @@ class LogColumns:
         states and timesteps go on; else a warning says what speaks against it. A
         folder ``column=value`` names a column of the files in it.
 
+        Files that hold the same bytes are refused, and so are ``a.csv`` and
+        ``a.parquet`` with the same transitions. Warnings name two files that follow
+        each other and share runs of 20 rows or more, tables of a folder in a format
+        that is not read, and files without rows.
+
         Examples
         --------
         >>> import pathlib, tempfile
@@ -430,11 +435,11 @@ class LogColumns:
         They are by a log's columns, and none of them is a word for no value.
         """
         form = cls.FILES.with_columns(columns)
-        found = files.find_log_files(path)
+        found = files.find_log_files(path, warns=True)
         refuse_same_bytes(found)
         reported: set[Any] = set()
         parts = (files.load(form, file, reported, names) for file in found)
-        log: Self = join_logs(cls, found, parts)
+        log: Self = join_logs(cls, found, parts, files.warn_of_empty_files)
         return log
 
 

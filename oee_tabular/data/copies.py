@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
-from oee_tabular.data.rules import KEY
+from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.data.tables import LogFile, count_parquet_rows, open_csv
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Column
@@ -132,7 +132,7 @@ class Namesakes:
         name = self.names.get(path)
         if name is None:
             return
-        own = [columns[label] for label in (*KEY, "count") if label in columns]
+        own = [columns[label] for label in (*MOVE, "count") if label in columns]
         for other, theirs in self.found[name]:
             is_same = len(own) == len(theirs) and all(
                 np.array_equal(*pair) for pair in zip(own, theirs, strict=True)

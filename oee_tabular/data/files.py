@@ -48,13 +48,23 @@ from oee_tabular.data.tables import (
     open_table,
     write_parquet,
 )
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import Name, from_text, to_text
 from oee_tabular.typing import Column
 
 # a file, a folder, a pattern, or several
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 ENDINGS = (".csv", ".parquet", ".npz", ".csv.gz")
+# endings of files that stand beside a log and hold none, and how their names begin
+NO_LOGS = (
+    ".md .rst .json .yaml .yml .toml .ini .cfg .py .pyc .ipynb .r .jl .m .sh .bat .sql"
+    " .html .css .js .tex .bib .pdf .doc .docx .odt .ppt .pptx .png .jpg .jpeg .gif"
+    " .svg .eps .mp4 .crc .md5 .sha1 .sha256 .sha512 .sig .asc .lock .swp"
+    " .err .pt .pth .onnx .license"
+).split()
+NO_LOG_NAMES = ("readme", "licen", "copying", "notice", "changelog", "makefile")
+MINARI_FILES = ("metadata.json", "main_data.hdf5")
+MAX_SHOWN_FILES = 5
 Columns = dict[str, Column]
 OwnNames: TypeAlias = Mapping[str, tuple[Name, ...] | None]  # by a column's label
 
@@ -206,8 +216,27 @@ def load(
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode, form.columns, reported)
     else:
-        raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
+        raise ArgumentError(
+            "path",
+            f"must end in {form.endings}; it is {name!r}{_suggest_format(name)}",
+        )
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def _suggest_format(name: str) -> str:
+    """Return how pandas writes a table of another format as CSV, in words."""
+    lower = name.lower()
+    if lower.endswith((".xlsx", ".xls", ".ods")):
+        reader = "read_excel(path)"
+    elif lower.endswith((".feather", ".arrow")):
+        reader = "read_feather(path)"
+    elif lower.endswith((".tsv", ".tab", ".txt")):
+        reader = "read_csv(path, sep='\\t')"
+    elif lower.endswith((".zip", ".bz2", ".xz", ".zst", ".bak", ".dat")):
+        reader = "read_csv(path)"
+    else:
+        return ""
+    return f" (pandas.{reader}.to_csv('log.csv', index=False) writes what is read)"
 
 
 def _load_npz(form: Format, file: LogFile, name: str) -> Columns:
@@ -281,13 +310,15 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
     return columns
 
 
-def find_log_files(path: Paths) -> list[LogFile]:
+def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
     """Find the files that a path, a folder, a pattern or a list of them names.
 
     They are in the order of their names, in which numbers count as such: part.2 is
     before part.10. Files and folders that begin with a dot or an underscore are left
     out, as writers of folders mean them; folders ``column=value`` name a column [1]. A
-    folder without any is a Minari data set.
+    folder without any is a Minari data set. ``warns``: whether a warning names the
+    files of a folder that may hold a part of the log and are left out, and subfolders
+    whose files are read beside the folder's own.
 
     [1] Apache Hive.
     """
@@ -304,7 +335,75 @@ def find_log_files(path: Paths) -> list[LogFile]:
         raise ArgumentError(
             "path", f"must name each file once; {again[0]!r} is named twice"
         )
+    if warns:
+        for one in given:
+            _warn_of_folder(Path(_files.local(one)), some)
     return some
+
+
+def _warn_of_folder(place: Path, files: Sequence[LogFile]) -> None:
+    """Warn of files of a folder that are left out, and of subfolders that are read."""
+    if not place.is_dir():
+        return
+    ways = sorted(
+        (way.relative_to(place) for way in place.rglob("*") if not way.is_dir()),
+        key=_order,
+    )
+    read = [way for way in ways if _is_data_file(way)]
+    if not read:
+        return  # a Minari data set
+    left = [str(way) for way in ways if _may_be_log(way)]
+    noun = "file" if len(read) + len(left) == 1 else "files"
+    if left:
+        _checks.warn(
+            f"read {len(read)} of {len(read) + len(left)} {noun} in {str(place)!r}; left"
+            f" out: {_list_files(left)} (write them as .csv or .parquet to read them)",
+            DataWarning,
+        )
+    inside = [way for way in read if len(way.parts) > 1]
+    if len(inside) < len(read):
+        folders = dict.fromkeys(str(way.parent) for way in inside)
+        plain = [folder for folder in folders if "=" not in folder]
+        if plain:
+            number = sum(str(way.parent) in plain for way in inside)
+            _checks.warn(
+                f"{number} of the {len(read)} {noun} read in {str(place)!r} stand in its"
+                f" subfolders: {_list_files(plain)} (give a pattern,"
+                f" {str(place / '*.csv')!r}, to read the folder's own alone)",
+                DataWarning,
+            )
+
+
+def _list_files(names: Sequence[str]) -> str:
+    """Return the first of some names of files, in words."""
+    shown = [_checks.show(name) for name in names[:MAX_SHOWN_FILES]]
+    if len(names) > MAX_SHOWN_FILES:
+        shown.append(f"and {len(names) - MAX_SHOWN_FILES} more")
+    return ", ".join(shown)
+
+
+def warn_of_empty_files(paths: Sequence[str], n_files: int) -> None:
+    """Warn of files that have a header and no rows."""
+    if paths:
+        verb = "has" if len(paths) == 1 else "have"
+        _checks.warn(
+            f"{len(paths)} of {n_files} files {verb} a header and no rows:"
+            f" {_list_files(paths)}",
+            DataWarning,
+        )
+
+
+def _may_be_log(path: Path) -> bool:
+    """Say whether a file that is not read may hold a part of a log."""
+    name = path.name.lower()
+    is_hidden = any(step.startswith((".", "_")) for step in path.parts)
+    return not (
+        is_hidden
+        or _is_data_file(path)
+        or name.startswith(NO_LOG_NAMES)
+        or name.endswith(tuple(NO_LOGS))
+        or name in ("thumbs.db", "desktop.ini")
+    )
 
 
 def _files_at(name: str) -> list[LogFile]:
@@ -342,7 +441,16 @@ def _files_in(place: Path, named: Path, name: str) -> list[LogFile]:
         for way in ways
         if _is_data_file(way)
     ]
-    return found or [LogFile(str(place))]
+    if found:
+        return found
+    left = [str(way) for way in ways if _may_be_log(way)]
+    if left and not any(way.name in MINARI_FILES for way in ways):
+        raise ArgumentError(
+            "path",
+            f"must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
+            f" {_list_files(left)} (write them as .csv or .parquet)",
+        )
+    return [LogFile(str(place))]
 
 
 def _order(path: Path) -> list[list[tuple[int, str]]]:

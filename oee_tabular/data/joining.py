@@ -176,11 +176,15 @@ def order_hint(file: LogFile, known: Iterable[str]) -> str:
 
 
 def join_logs(
-    cls: Any, found: Sequence[LogFile], parts: Iterable[dict[str, Column]]
+    cls: Any,
+    found: Sequence[LogFile],
+    parts: Iterable[dict[str, Column]],
+    warn_of_empty_files: Callable[[Sequence[str], int], None],
 ) -> Any:
     """Return the log of the columns of several files, in their order.
 
-    ``cls`` is the class of the log. Files without rows are passed over, where others
+    ``cls`` is the class of the log. ``warn_of_empty_files`` is told which have no rows,
+    and the number of all. Files without rows are passed over, where others
     have some.
     """
     logs: list[Any] = []
@@ -190,12 +194,14 @@ def join_logs(
     folders = Folders()
     namesakes = Namesakes(found)
     overlaps = Overlaps()
+    empty: list[str] = []
     last = None
     for file, columns in zip(found, parts, strict=True):
         # an npz of ours says itself where its episodes end, and is not checked so far
         is_table = file.suffix in (".csv", ".parquet")
         n = len(columns["state"]) if is_table else 1
         if not n and len(found) > 1 and (logs or file is not found[-1]):
+            empty.append(file.path)
             continue
         if len(found) > 1:
             namesakes.add(file.path, columns)
@@ -230,6 +236,7 @@ def join_logs(
         shifts.append(shift)
     warn_of(notes)
     overlaps.warn()
+    warn_of_empty_files(empty, len(found))
     if len(logs) == 1:
         return logs[0]
     if not any(is_one):

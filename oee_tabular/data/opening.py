@@ -31,7 +31,12 @@ from oee_tabular.data.counts import (
     TransitionCounts,
     holds_counts,
 )
-from oee_tabular.data.files import Paths, find_log_files, plain_name
+from oee_tabular.data.files import (
+    Paths,
+    find_log_files,
+    plain_name,
+    warn_of_empty_files,
+)
 from oee_tabular.data.frames import is_frame
 from oee_tabular.data.joining import TIMESTEP, Folders, Row, judge, warn_of
 from oee_tabular.data.labels import (
@@ -109,8 +114,8 @@ def open_log(
     ------
     ValueError
         If a file is no table or has other columns than the first (rewards alone may be
-        missing), or has invalid rows that are refused. The error names the file, the
-        row or the column, the rule and the value.
+        missing), has invalid rows that are refused, or is a copy of another one. The
+        error names the file, the row or the column, the rule and the value.
     OSError
         If a file is not there, or there is no scheduler at the address.
 
@@ -125,11 +130,11 @@ def open_log(
     --------
     >>> import tempfile, pathlib
     >>> folder = pathlib.Path(tempfile.mkdtemp())
-    >>> log = Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0])
     >>> for k in range(2):
+    ...     log = Transitions([0, k], [0, 0], [k, 2], episode=[0, 0])
     ...     log.save(folder / f"part-{k}.csv")
     >>> Transitions.open(folder)
-    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps:
+    TransitionCounts(4 transitions, 4 different, of 2 files in 2 episodes of 2 steps:
                      0 terminated, 2 truncated; states 0..2, actions 0..0;
                      2 whole episodes kept)
     """
@@ -153,7 +158,7 @@ def open_log(
         return counted
     from tqdm import tqdm
 
-    files = find_log_files(path)
+    files = find_log_files(path, warns=True)
     refuse_same_bytes(files)
     limits = limits._replace(has_others=len(files) > 1)
     calls = ((file, plain_name(file, files), limits) for file in files)
@@ -179,6 +184,7 @@ def _add_files(
     overlaps = Overlaps()
     dropped: Counter[tuple[int, int]] = Counter()
     n_ended = 0
+    empty: list[str] = []
     for file, counts in zip(files, counted, strict=True):
         if not columns:
             warn_read_as(repr(file.path), counts.matching.renamed)
@@ -187,6 +193,8 @@ def _add_files(
         _check_same_columns(columns, file.path)
         folders.add(file, counts.known, counts.episodes)
         overlaps.add(file.path, counts.ends_print)
+        if counts.sums is None and not counts.recording.dropped:
+            empty.append(file.path)
         if counts.sums is not None:
             namesakes.add_sums(file.path, counts.sums)
             add_sums(sums, counts.sums)
@@ -202,6 +210,7 @@ def _add_files(
         )
     warn_of(episodes.notes)
     overlaps.warn()
+    warn_of_empty_files(empty, len(files))
     recording = episodes.correct(recording)
     if n_ended:
         _warn_of_ends(n_ended, limits)

@@ -1,0 +1,177 @@
+"""Folders of a log: copies, overlaps, what is left out, and subfolders."""
+
+import gzip
+import shutil
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import oee_tabular as oee
+from oee_tabular import Transitions
+from oee_tabular.exceptions import DataWarning
+
+READERS = [Transitions.load, Transitions.open]
+
+
+def frame_of(n, seed, *, has_episodes=True, n_states=30):
+    """Return a random walk: states, actions and rewards by chance."""
+    rng = np.random.default_rng(seed)
+    state = rng.integers(0, n_states, n + 1)
+    frame = pd.DataFrame(
+        {
+            "state": state[:-1],
+            "action": rng.integers(0, 3, n),
+            "next_state": state[1:],
+            "reward": rng.normal(size=n).round(2),
+        }
+    )
+    return frame.assign(episode=np.arange(n) // 10) if has_episodes else frame
+
+
+def write(frame, path):
+    if path.suffix == ".parquet":
+        frame.to_parquet(path, index=False)
+    elif path.suffix == ".npz":
+        Transitions.from_frame(frame).save(path)
+    else:
+        frame.to_csv(path, index=False)
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("a.csv", "a - copy.csv"), ("2024.parquet", "z.parquet"), ("log.npz", "old.npz")],
+)
+def test_files_of_the_same_bytes_are_refused(tmp_path, read, one, other):
+    write(frame_of(60, 0), tmp_path / one)
+    write(frame_of(60, 1), tmp_path / f"m{one}")
+    shutil.copy(tmp_path / one, tmp_path / other)
+    with pytest.raises(ValueError, match="must name each recording once") as caught:
+        read(tmp_path)
+    assert one in str(caught.value)
+    assert other in str(caught.value)
+    with pytest.raises(ValueError, match="hold the same 60 rows"):
+        read([tmp_path / one, tmp_path / other])
+    # the remedy
+    logs = [Transitions.load(tmp_path / name) for name in (one, other)]
+    Transitions.concatenate(logs).save(tmp_path / "joined.npz")
+    assert len(Transitions.load(tmp_path / "joined.npz")) == 120
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_short_files_may_be_the_same(tmp_path, read):
+    for name in ("a.csv", "b.csv", "c.csv"):
+        write(frame_of(5, 0, has_episodes=False), tmp_path / name)
+    with pytest.warns(DataWarning, match=r"same 5 rows \(2 such files in all\): they"):
+        assert len(read(tmp_path)) == 15
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("other", [".csv.gz", ".parquet", ".npz"])
+def test_one_name_in_two_formats_is_refused(tmp_path, read, other):
+    frame = frame_of(80, 3)
+    write(frame, tmp_path / "w1.csv")
+    if other == ".csv.gz":
+        with gzip.open(tmp_path / "w1.csv.gz", "wt") as handle:
+            frame.assign(note="x").to_csv(handle, index=False)
+    else:
+        write(frame, tmp_path / f"w1{other}")
+    if other == ".npz" and read is not Transitions.load:
+        return  # an npz has more columns, which is an error there
+    with (
+        warnings.catch_warnings(),
+        pytest.raises(ValueError, match=r"w1\..*hold the same transitions \(leave one"),
+    ):
+        warnings.simplefilter("ignore", DataWarning)
+        read(tmp_path)
+    # other rows under that name are another part of the log
+    (tmp_path / f"w1{other}").unlink()
+    write(frame_of(80, 4), tmp_path / f"w1{other.removesuffix('.gz')}")
+    assert len(read(tmp_path)) == (80 if other == ".csv.gz" else 160)
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+@pytest.mark.parametrize("n_shared", [0, 15, 40, 300])
+def test_files_that_overlap_are_warned_of(tmp_path, read, ending, n_shared):
+    frame = frame_of(1000, 5, has_episodes=False)
+    for name, some in (("a", frame[: 500 + n_shared]), ("b", frame[500:])):
+        write(some, tmp_path / f"{name}{ending}")
+    if n_shared < 20:
+        assert len(read(tmp_path)) == 1000 + n_shared
+        return
+    with pytest.warns(DataWarning, match=f"^{n_shared} rows stand in .*a.* and in .*b"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_what_is_never_random_is_no_overlap(tmp_path, read):
+    """Runs of a machine that always does the same: 50 steps round a circle."""
+    state = np.arange(50)
+    frame = pd.DataFrame(
+        {"state": state, "action": 0, "next_state": (state + 1) % 50, "reward": -1.0}
+    )
+    for name in ("a", "b", "c"):
+        write(frame.assign(episode=f"run {name}"), tmp_path / f"{name}.csv")
+    assert len(read(tmp_path)) == 150
+
+
+def test_large_files_that_overlap(tmp_path, monkeypatch):
+    """Both ends of a file are compared, also where it is read in many pieces."""
+    monkeypatch.setattr("oee_tabular.data.copies.N_ROWS", 400)
+    monkeypatch.setattr("oee_tabular.data.copies.N_GROUPED_ROWS", 400)
+    monkeypatch.setattr("oee_tabular.data.tables.N_CSV_ROWS", 300)
+    frame = frame_of(5000, 6, has_episodes=False)
+    for ending in (".csv", ".parquet"):
+        folder = tmp_path / ending
+        folder.mkdir()
+        write(frame[:3000], folder / f"a{ending}")
+        write(frame[2900:], folder / f"b{ending}")
+        for read in READERS:
+            with pytest.warns(DataWarning, match="^100 rows stand in"):
+                read(folder)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_files_that_are_left_out_are_named(tmp_path, read):
+    write(frame_of(50, 0), tmp_path / "a.csv")
+    for name in ("b.tab", "c.csv.bz2", "d.ods", "E.Feather", "README.txt", "notes.md"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "_SUCCESS").write_text("")
+    (tmp_path / ".b.tsv").write_text("")
+    with pytest.warns(DataWarning) as told:
+        read(tmp_path)
+    text = str(told[0].message)
+    assert text.startswith("read 1 of 5 files in ")
+    assert all(name in text for name in ("'b.tab'", "'c.csv.bz2'", "'E.Feather'"))
+    assert "notes" not in text
+    assert "README" not in text
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_files_without_rows_are_named(tmp_path, read):
+    for name, seed in (("a", 0), ("c", 1)):
+        write(frame_of(50, seed), tmp_path / f"{name}.csv")
+    write(frame_of(50, 0)[:0], tmp_path / "b.csv")
+    with pytest.warns(DataWarning, match="1 of 3 files has a header and no rows: .*b"):
+        assert len(read(tmp_path)) == 100
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_subfolders_beside_files_are_said(tmp_path, read):
+    write(frame_of(50, 0), tmp_path / "a.csv")
+    (tmp_path / "old" / "more").mkdir(parents=True)
+    write(frame_of(50, 1), tmp_path / "old" / "more" / "b.parquet")
+    with pytest.warns(DataWarning, match=r"^1 of the 2 files read in .* subfolders: "):
+        assert len(read(tmp_path)) == 100
+
+
+def test_a_folder_of_other_formats_alone(tmp_path):
+    (tmp_path / "a.tsv").write_text("state\taction\tnext_state\n0\t0\t0\n")
+    for read in READERS:
+        with pytest.raises(ValueError, match=r"must hold files in .* has 'a\.tsv' \("):
+            read(tmp_path)
+    with pytest.raises(ValueError, match=r"pandas\.read_csv\(path, sep='\\t'\)"):
+        oee.Transitions.load(tmp_path / "a.tsv")
