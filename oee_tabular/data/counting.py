@@ -181,9 +181,10 @@ class FileCounts(NamedTuple):
     """Hold the sums of a file, how it was recorded, and the labels of its columns.
 
     ``ends`` is None where no episode goes on in another file, ``ends_print`` where
-    there is no other file, and ``episodes`` are those that stand in folders ``column=value``. ``dropped``: the numbers of the rows
-    that were left out, by their state and action. ``n_ended``: those that terminated
-    and have no next state, which is the only one in which an episode can be over.
+    there is no other file, and ``episodes`` are those that stand in folders
+    ``column=value``. ``dropped``: the numbers of the rows that were left out, by their
+    state and action. ``n_ended``: those that terminated and have no next state, which
+    is the only one in which an episode can be over.
     """
 
     sums: dict[str, Column] | None

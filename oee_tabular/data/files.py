@@ -61,7 +61,7 @@ NO_LOGS = (
     " .html .css .js .tex .bib .pdf .doc .docx .odt .ppt .pptx .png .jpg .jpeg .gif"
     " .svg .eps .mp4 .crc .md5 .sha1 .sha256 .sha512 .sig .asc .lock .swp"
     " .err .pt .pth .onnx .license"
-).split()
+)
 NO_LOG_NAMES = ("readme", "licen", "copying", "notice", "changelog", "makefile")
 MINARI_FILES = ("metadata.json", "main_data.hdf5")
 MAX_SHOWN_FILES = 5
@@ -401,7 +401,7 @@ def _may_be_log(path: Path) -> bool:
         is_hidden
         or _is_data_file(path)
         or name.startswith(NO_LOG_NAMES)
-        or name.endswith(tuple(NO_LOGS))
+        or name.endswith(tuple(NO_LOGS.split()))
         or name in ("thumbs.db", "desktop.ini")
     )
 

@@ -226,6 +226,26 @@ def foreign_starts(share: float) -> Findings:
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
 
+def starts_contradict(
+    state: str, number: int, episodes: int, probability: float
+) -> Finding:
+    """Warn of episodes that begin otherwise than the simulator's.
+
+    ``number`` of the log's ``episodes`` begin in ``state``; ``probability`` is the
+    simulator's.
+    """
+    share = "none" if number == 0 else f"{number}"
+    if number == episodes:
+        share = "all"
+    text = (
+        f"Of the log's {episodes} episodes {share} begin in state {state}, to which the"
+        f" simulator gives probability {probability:.3g}. Values are those of the"
+        " simulator's first states; initial= (--initial) says where episodes start."
+    )
+    severity = 1.0 + abs(number / episodes - probability)
+    return Finding("first states", severity, text)
+
+
 MADE_FROM_LOG = Finding(
     "selected",
     1.0,

@@ -23,6 +23,7 @@ from oee_tabular.estimators.rewards import (
     simulator_rewards,
     with_log_rewards,
 )
+from oee_tabular.estimators.starts import StartConflict, find_start_conflict
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -334,6 +335,14 @@ class Problem:
         return conflict(self.simulator, self.log)
 
     @cached_property
+    def start_conflict(self) -> StartConflict | None:
+        """Return where the log's episodes begin otherwise than the simulator's.
+
+        It is None if they agree, or if the log has no episodes.
+        """
+        return find_start_conflict(self.recorded, self.simulator)
+
+    @cached_property
     def behavior_conflict(self) -> int:
         """Return the number of transitions that contradict ``behavior_policy``.
 
@@ -350,6 +359,9 @@ class Problem:
         """Return the warnings about the data, which concern every policy."""
         log = self.log
         result = list[Finding]()
+        if self.start_conflict is not None:
+            state = self.simulator.names.state(self.start_conflict.state)
+            result.append(findings.starts_contradict(state, *self.start_conflict[1:]))
         if self.reward_conflict is not None:
             result.append(
                 findings.rewards_contradict(

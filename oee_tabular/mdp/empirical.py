@@ -34,7 +34,7 @@ from oee_tabular._sparse import (
     row_sums,
     stack_actions,
 )
-from oee_tabular.exceptions import ArgumentError, SimulatorWarning
+from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
 from oee_tabular.mdp.naming import (
@@ -111,6 +111,12 @@ def log_arguments(
     )
     starts = state if log.episode_starts is None else state[log.episode_starts[:-1]]
     law: Array | None = None
+    if initial is None and log.episode_starts is None and np.any(state != state[0]):
+        _checks.warn(
+            f"the log has no episodes: the simulator starts in each of its {len(state)}"
+            " states alike (say where episodes start: initial=, --initial)",
+            DataWarning,
+        )
     if initial is not None:
         law = _checks.distribution(
             initial_distribution(initial, states, n_states), "initial", (n_states,)

@@ -655,7 +655,7 @@ class FiniteMDP:
         initial : array_like of shape (S,), int, name, or mapping, optional
             The distribution of the first state, as in the constructor. None means how
             often episodes began in each state (without episodes: the frequencies of all
-            states).
+            states, with a warning).
         n_states : int, optional
             The number of states. None means one more than the largest of the log, or as
             many as there are names.

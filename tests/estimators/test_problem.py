@@ -294,8 +294,9 @@ def test_rows_left_out_have_a_warning():
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
     assert texts == [
         (
-            "4 invalid rows of the log were not counted: a.csv: state[3] must be an"
-            " integer; it is x."
+            "4 invalid rows of the log (36.36% of all rows) were not counted, since"
+            " their state or action cannot be read. Values and intervals are as if they"
+            " were like the others: a.csv: state[3] must be an integer; it is x."
         ),
         (
             "Importance sampling uses a sample of 30 of the log's 300 episodes. The"

@@ -170,7 +170,7 @@ def test_a_grids_shape():
     assert_array_equal(grid.layout, [divmod(s, 3) for s in range(9)])
     assert_array_equal(grid.with_layout((3, 3)).layout, grid.layout)
     log = oee.Transitions([0, 1], [0, 0], [1, 2], [0.0, 1.0], terminated=[0, 1])
-    assert FiniteMDP.from_log(log, layout=(1, 3)).layout.tolist() == [
+    assert FiniteMDP.from_log(log, initial=0, layout=(1, 3)).layout.tolist() == [
         [0, 0],
         [0, 1],
         [0, 2],

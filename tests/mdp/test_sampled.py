@@ -4,6 +4,7 @@ for a log's transitions.
 
 import pickle
 import re
+import warnings
 
 import gymnasium
 import numpy as np
@@ -14,10 +15,13 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions
+from oee_tabular.exceptions import DataWarning
 
 GRID = oee.tasks.gridworld(3, slip=0.3)
 LOG = oee.sample_episodes(GRID, oee.uniform_policy(GRID), 400, 40, seed=0)
 FILLED = "never recorded and are filled in"
+# most logs here are a few transitions
+pytestmark = pytest.mark.filterwarnings("ignore:the log has no episodes")
 
 
 def dense(mdp):
@@ -25,6 +29,17 @@ def dense(mdp):
 
 
 # ---------------------------------------------------------------- a log
+
+
+def test_a_log_without_episodes_does_not_say_where_they_start():
+    rows = LOG.select(np.arange(len(LOG)))
+    with pytest.warns(DataWarning, match=r"^the log has no episodes: .*\(say where"):
+        mean = FiniteMDP.from_log(rows)
+    assert mean.initial[0] < 0.9
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert FiniteMDP.from_log(rows, initial=0).initial[0] == 1
+        FiniteMDP.from_log(LOG)
 
 
 def test_frequencies_are_those_of_the_counts():
