@@ -46,6 +46,7 @@ EpisodesLike: TypeAlias = (
 )
 LogLike: TypeAlias = EpisodesLike | TransitionCounts | SparseLike
 LogT = TypeVar("LogT", bound=Transitions | TransitionCounts)
+MIN_SHIFTED = 3  # episodes after which next_state may be shifted
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 
@@ -213,7 +214,11 @@ class Problem:
         for field, value in zip(dataclasses.fields(self), fields, strict=True):
             object.__setattr__(self, field.name, value)
         if counts is None and not may_drop:
-            refuse_unsupported(self.counts, simulator)
+            try:
+                refuse_unsupported(self.counts, simulator)
+            except ArgumentError as error:
+                rule = error.rule + _suggest_shift(recorded)
+                raise ArgumentError(error.argument, rule) from None
         if may_drop and self.counts.nnz == 0:
             raise ArgumentError(
                 "log",
@@ -448,13 +453,31 @@ def settle(log: LogT, simulator: FiniteMDP, name: str) -> LogT:
             " truncated instead; if the task ends there, make the state terminal,"
             f" P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with"
             " reward 0, or say where termination leads with FiniteMDP(...,"
-            " terminal_state=)",
+            f" terminal_state=){_suggest_shift(log)}",
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
         log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
     if np.array_equal(arrival, log.next_state):
         return log
     return replace(log, next_state=arrival)
+
+
+def _suggest_shift(log: Transitions | TransitionCounts) -> str:
+    """Return a sentence where next states are those of the next episode, or ""."""
+    if not isinstance(log, Transitions) or log.episode_starts is None:
+        return ""
+    first = log.episode_starts[1:-1]
+    is_shifted = log.next_state[first - 1] == log.state[first]
+    n_shifted = int(is_shifted.sum())
+    if len(first) < MIN_SHIFTED or n_shifted < 0.9 * len(first):
+        return ""
+    return (
+        f". In {n_shifted} of the {len(first)} places where an episode ends, next_state"
+        " is the state of the next row, which is of another episode: was next_state made"
+        " by shifting state by one row? Then the last next_state of each episode is"
+        " wrong: write where it led, or leave the field empty and count the log with"
+        " Transitions.open(..., bad_rows='drop') (oee counts --bad-rows drop)"
+    )
 
 
 def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> Csr:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
+from scipy import sparse, special
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
@@ -32,6 +32,8 @@ from oee_tabular.typing import (
 LEAST_PROBABILITY = 1e-300
 # The number beyond which a float does not tell n from n + 1.
 LARGEST_COUNT = 2.0**53
+ALLOWED = 0.01  # the probability that the error on a known simulator proposes
+LEVEL = 1e-4  # of the test whether a probability explains impossible transitions
 
 
 @suggest_keywords
@@ -120,11 +122,13 @@ def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
     reachable = np.zeros(len(rows), dtype=np.bool_)
     for a in range(n_actions):
         reachable |= find(simulator.transitions, start * n_actions + a, to)[1]
+    too_many = _name_too_many(moves, bad, simulator, ALLOWED)
+    allow = (
+        f"simulator.with_support_of(log, epsilon) (--impossible allow={ALLOWED:g}) gives"
+        " each of them some probability"
+    )
     ways = [
-        (
-            "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives"
-            " each of them some probability"
-        ),
+        *(() if too_many else (allow,)),
         (
             'Problem(..., impossible="drop") (--impossible drop) leaves them out, and'
             " intervals let them lead anywhere"
@@ -138,7 +142,7 @@ def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
         noise = (
             "simulator.with_action_noise(epsilon) (--action-noise) makes them possible"
         )
-        return _number_ways([noise, *ways])
+        return _number_ways([noise, *ways]) + too_many
     unreachable = bad[~reachable[bad]]
     k = int(unreachable[np.argmax(moves.data[unreachable])])
     s = int(start[k])
@@ -155,7 +159,7 @@ def _suggest_remedies(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
     remove = "if the log is wrong, remove these transitions from it"
     return (
         f"No action leads from {here} to {there} in the simulator, so action noise does"
-        f" not help{helped}. {_number_ways([give_probability, remove, *ways])}"
+        f" not help{helped}. {_number_ways([give_probability, remove, *ways])}{too_many}"
     )
 
 
@@ -173,6 +177,16 @@ def _suggest_support(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
     numbers = simulator.sampling.pairs[rows]
     least, most = int(numbers.min()), int(numbers[np.isfinite(numbers)].max())
     samples = f"{least}" if least == most else f"{least} to {most}"
+    too_many = _name_too_many(moves, bad, simulator, epsilon)
+    if too_many:
+        return (
+            f"The simulator was made of samples, {samples} of each of these state-action"
+            " pairs, which lack what is rarer, but these are no rare"
+            f" transitions{too_many}. If the log is wrong, mend it; if the target does"
+            " this, give it probability in the simulator, or leave it out with"
+            ' Problem(..., impossible="drop") (--impossible drop), and intervals let'
+            " these transitions lead anywhere"
+        )
     return (
         f"The simulator was made of samples, {samples} of each of these state-action"
         " pairs, and lacks what is rarer: allow the log's transitions by"
@@ -181,6 +195,38 @@ def _suggest_support(moves: Csr, bad: IntArray, simulator: FiniteMDP) -> str:
         " samples (samples_per_pair) fewer of them are missing. If the target does what"
         " the simulator never can, give that probability in the simulator, or leave it"
         ' out with Problem(..., impossible="drop") (--impossible drop)'
+    )
+
+
+def _name_too_many(
+    moves: Csr, bad: IntArray, simulator: FiniteMDP, epsilon: float
+) -> str:
+    """Return where more transitions are impossible than epsilon explains, or "".
+
+    In a pair of n transitions P(K >= k), K binomial with n and epsilon, is below
+    ``LEVEL`` for all pairs together.
+    """
+    rows = row_of_entry(moves)
+    n_pairs = moves.shape[0]
+    total = np.bincount(rows, moves.data, n_pairs)
+    number = np.bincount(rows[bad], moves.data[bad], n_pairs)
+    pairs = np.flatnonzero(number > 0)
+    k, n = number[pairs], total[pairs]
+    chance = special.betainc(k, n - k + 1.0, epsilon)
+    worst = int(np.argmin(chance))
+    if chance[worst] * len(pairs) >= LEVEL:
+        return ""
+    several = np.flatnonzero(chance * len(pairs) < LEVEL)
+    pair = simulator.names.pair(*divmod(int(pairs[worst]), simulator.n_actions))
+    entries = bad[rows[bad] == pairs[worst]]
+    to = int(moves.indices[entries[np.argmax(moves.data[entries])]])
+    others = ""
+    if len(several) > 1:
+        others = f", and likewise in {len(several) - 1} more pairs"
+    return (
+        f". In {pair} {k[worst]:g} of {n[worst]:g} transitions are impossible, most to"
+        f" {simulator.names.state(to)}{others}: more than a probability of {epsilon:g}"
+        " explains"
     )
 
 

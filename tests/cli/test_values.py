@@ -159,7 +159,8 @@ def test_impossible_transitions_are_refused_dropped_or_allowed(run, folder):
     log = oee.Transitions.load("log.csv")
     words = f"evaluate {DATA} --policy uniform --estimators oee --json"
     told = run(words, code=2)
-    assert "(--impossible allow=0.01)" in told
+    assert "allow=" not in told  # of what happens nearly always
+    assert "48 of 51 transitions are impossible, most to r1c0: more than" in told
     assert "(--impossible drop)" in told
     dropped, allowed = (
         json.loads(run(words, "--impossible", way)) for way in ("drop", "allow=0.02")
