@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular import Transitions, TransitionCounts
+from oee_tabular import TransitionCounts, Transitions
 from oee_tabular.ratio import refuse_unsupported
 
 # 0 leads to 1, 1 to 2, and 2 back to 0
