@@ -405,7 +405,7 @@ def describe_files(
     -------
     kind : str
         "finite_mdp", "transitions", "transition_counts", "continuous_transitions",
-        "report" or "arrays".
+        "policy", "report" or "arrays".
     text : str
         What it holds, in one or more lines.
     """
@@ -429,6 +429,13 @@ def describe_files(
         states = oee.ContinuousTransitions.load(file, columns=columns)
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
+    if is_single and path.suffix.lower() == ".csv" and not columns:
+        from oee_tabular.cli.policies import describe_policy, require_commas
+
+        require_commas(file)
+        policy = describe_policy(file)
+        if policy is not None:
+            return "policy", policy
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
         log = oee.Transitions.load(files, columns=columns)
         return "transitions", repr(log) + _describe_labels(log, files, columns)

@@ -242,7 +242,7 @@ def count_log_files(log: list[str], recorded: Any) -> int:
 
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
     """Read the policy that ``spec`` names, as an (S, A) array."""
-    from oee_tabular.data.tables import csv_frame
+    from oee_tabular.cli.policies import read_policy_table
     from oee_tabular.mdp import check_policy
     from oee_tabular.mdp.policies import read_policy_array
 
@@ -267,9 +267,7 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
         )
     label = f"{name} {spec!r}"
     if suffix == ".csv":
-        return check_policy(
-            _policy_by_state(csv_frame(spec), mdp, repr(spec)), mdp, name=label
-        )
+        return check_policy(read_policy_table(spec, mdp), mdp, name=label)
     if suffix in (".npy", ".npz"):
         return check_policy(read_policy_array(spec, name), mdp, name=label)
     if is_own(spec):
@@ -285,58 +283,6 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
         "must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz"
         f" or .csv file; got {spec!r}{hint}",
     )
-
-
-def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any]:
-    """Read a policy by state from a table.
-
-    Its columns are state, action (and probability), or state and one for each action.
-    """
-    from oee_tabular.mdp.naming import numbers_of
-
-    labels = list(frame.columns)
-    known = {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
-    actions = {
-        label: whole_number(label, name) if label.isdecimal() else label
-        for label in labels
-        if label != "state"
-    }
-    is_wide = "action" not in labels
-    has_columns = "state" in labels and bool(actions)
-    if is_wide:
-        has_columns = has_columns and known.issuperset(actions.values())
-    if not has_columns or frame.empty:
-        raise ArgumentError(
-            name,
-            "must have the columns state and action, with probability or without, or"
-            " state and one for each action, and at least one row; it has"
-            f" {', '.join(labels)} and {len(frame)} rows",
-        )
-    keys = ["state", "action"] if "probability" in labels else ["state"]
-    twice = frame[frame.duplicated(keys)]
-    if len(twice):
-        place = ", ".join(f"{key} {twice.iloc[0][key]}" for key in keys)
-        raise ArgumentError(
-            name, f"must have one row for each {' and '.join(keys)}; {place} has two"
-        )
-    if is_wide:
-        frame = frame.rename(columns=actions).melt(
-            "state", var_name="action", value_name="probability"
-        )
-    elif "probability" not in labels:
-        return dict(zip(frame["state"], frame["action"], strict=True))
-    try:
-        numbers = frame["probability"].astype(float)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(
-            name, f"must have numbers as probabilities; {error}"
-        ) from None
-    policy: dict[Any, Any] = {}
-    for state, action, number in zip(
-        frame["state"], frame["action"], numbers, strict=True
-    ):
-        policy.setdefault(state, {})[action] = number
-    return policy
 
 
 def write_array(path: Path, array: Array) -> None:

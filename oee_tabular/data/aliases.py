@@ -69,6 +69,25 @@ FIELDS = {
 }
 
 
+# labels of the probability of a policy's action, in a table of a policy
+POLICY_PROBABILITY = {
+    "probability",
+    "probabilities",
+    "prob",
+    "probs",
+    "p",
+    "pi",
+    "action_probability",
+    "action_probabilities",
+    "action_prob",
+    "action_probs",
+    "policy_probability",
+    "policy_probabilities",
+    "policy_prob",
+    "policy_probs",
+}
+
+
 class Doubt(NamedTuple):
     """Describe a label that may hold several columns, or one in another form.
 

@@ -475,21 +475,28 @@ def suggest_columns(required: Sequence[str], labels: Sequence[Any]) -> str:
     )
 
 
-def warn_read_as(name: str, renamed: Iterable[tuple[Any, str]]) -> None:
-    """Warn of columns that are read by labels of other projects, in one sentence."""
+def warn_read_as(
+    name: str,
+    renamed: Iterable[tuple[Any, str]],
+    option: str = " (columns=, --column name other columns)",
+) -> None:
+    """Warn of columns that are read by labels of other projects, in one sentence.
+
+    ``option`` says how to name others.
+    """
     words = [f"{_checks.show(label)} as {field}" for label, field in renamed]
     if len(words) > MAX_SHOWN_COLUMNS:
         words[MAX_SHOWN_COLUMNS:] = [f"and {len(words) - MAX_SHOWN_COLUMNS} more"]
     if words:
+        what = "a log" if option else "a policy"
         _checks.warn(
-            f"{name} has other labels than a log: it reads {', '.join(words)} (columns=,"
-            " --column name other columns)",
+            f"{name} has other labels than {what}: it reads {', '.join(words)}{option}",
             DataWarning,
         )
 
 
-def warn_left_out(name: str, left_out: Sequence[Any]) -> None:
-    """Warn of columns that are not read."""
+def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
+    """Warn of columns that are not read, of a log or a policy."""
     if not left_out:
         return
     named = [
@@ -499,7 +506,7 @@ def warn_left_out(name: str, left_out: Sequence[Any]) -> None:
     if len(left_out) > MAX_SHOWN_COLUMNS:
         named.append(f"and {len(left_out) - MAX_SHOWN_COLUMNS} more")
     _checks.warn(
-        f"columns of {name!r} that a log does not use are left out: {', '.join(named)}",
+        f"columns of {name!r} that a {of} does not use are left out: {', '.join(named)}",
         DataWarning,
     )
 

@@ -164,13 +164,13 @@ def test_policies_from_files(run, folder):
     ("table", "text"),
     [
         (
-            "state,act\nr0c0,n",
+            "state,do\nr0c0,north",
             (
                 "must have the columns state and action, with probability or without,"
                 " or state and one"
             ),
         ),
-        ("place,action\nr0c0,n", "it has place, action and 1 rows"),
+        ("place,action\nhere,n", "it has place, action and 1 rows"),
         ("state,action\n", "and 0 rows"),
         ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
         (
