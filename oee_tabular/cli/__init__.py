@@ -10,6 +10,7 @@ import gc
 import sys
 import warnings
 from collections import Counter
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -42,14 +43,23 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words, and refuse a second value of an option that takes one.
 
-        Without this check, the first value would be lost.
+        Without this check, the first value would be lost. Files that follow that of
+        --log are those of a pattern that the shell has replaced.
         """
-        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        _, rest, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
             if times > 1 and not getattr(parameter, "multiple", False):
                 raise ArgumentError(
                     parameter.opts[0], f"must be given once; it is given {times} times"
                 )
+        has_log = any("--log" in parameter.opts for parameter in order)
+        if has_log and rest and all(Path(word).exists() for word in rest):
+            pattern = Path(rest[0]).with_name(f"*{Path(rest[0]).suffix}")
+            raise ArgumentError(
+                "--log",
+                f"must stand before each file; before {rest[0]!r} it does not (quote a"
+                f" pattern: --log '{pattern}')",
+            )
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:

@@ -31,6 +31,7 @@ from oee_tabular.cli.options import (
     SimulatorArgument,
     print_result,
 )
+from oee_tabular.cli.simulators import is_table, read_simulator
 from oee_tabular.continuous.command import is_continuous, record_log, task_options
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
@@ -246,6 +247,7 @@ def policy(
 def export(
     *,
     simulator: SimulatorArgument,
+    column: ColumnOption = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     samples_per_pair: Annotated[
@@ -273,14 +275,32 @@ def export(
     """Write a simulator to a file.
 
     A continuous task is written as its finite MDP, with the cells and what they were
-    made from.
+    made from. A table (.csv, .parquet) of samples is written by its frequencies, and
+    one with a column probability as it is.
     """
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npz",))
-    task = task_of(simulator, discount, initial, samples_per_pair)
-    mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
+    discretization: Any = None
+    if is_table(simulator):
+        if samples_per_pair is not None:
+            raise ArgumentError(
+                "--samples-per-pair",
+                "must be left out for a table, whose samples are taken already; it is"
+                f" {samples_per_pair}",
+            )
+        columns = read_columns(column, [simulator])
+        mdp = read_simulator(simulator, columns, initial, discount)
+    else:
+        if column:
+            raise ArgumentError(
+                "--column",
+                f"must be left out for {simulator!r}, which is no table",
+            )
+        task = task_of(simulator, discount, initial, samples_per_pair)
+        mdp, discretization = task.mdp, task.discretization
+    mdp = mdp.with_action_noise(action_noise) if action_noise else mdp
     saved: Any = mdp
-    if task.discretization is not None and not action_noise and initial is None:
-        saved = task.discretization
+    if discretization is not None and not action_noise and initial is None:
+        saved = discretization
     with file.writing():
         saved.save(output)
     record = {
@@ -358,11 +378,12 @@ def counts(
         counted.save(output)
     reasons = counted.recording.reasons
     lines = [f"{output}: {counted.describe()}"]
-    lines += [f"dropped: {reason}" for reason in reasons]
+    lines += [f"invalid: {reason}" for reason in reasons]
     record = {
         "file": str(output),
         "moves": counted.summary()["transitions"],
-        "dropped": reasons,
+        "dropped": reasons if counted.recording.dropped else (),
+        "invalid": reasons,
     }
     print_result("\n".join(lines), record, as_json)
 
@@ -449,7 +470,7 @@ def describe_files(
         return kind, repr(oee.Transitions.load(file))
     if kind == "transition_counts":
         counted = oee.TransitionCounts.load(file)
-        reasons = [f"dropped: {reason}" for reason in counted.recording.reasons]
+        reasons = [f"invalid: {reason}" for reason in counted.recording.reasons]
         return kind, "\n".join([repr(counted), *reasons])
     if kind == "finite_mdp":
         return kind, _describe_mdp(oee.FiniteMDP.load(file), file, arrays)

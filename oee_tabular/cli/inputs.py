@@ -57,6 +57,9 @@ def task_of(
     NamedTask
         The FiniteMDP and how to make its expert and environment.
     """
+    from oee_tabular.cli.simulators import refuse_table
+
+    refuse_table(spec)
     _progress.report_step(f"reading the simulator {spec}")
     if samples is not None:
         _checks.positive_integer(samples, "samples_per_pair")

@@ -92,12 +92,8 @@ def require_commas(path: str) -> None:
     known = ["state", "action", "probability", "next_state", "reward"]
     hint = suggest_columns(known, labels)
     if hint:
-        sign = next(mark for mark in ";\t| " if mark in labels[0])
         raise ArgumentError(
-            repr(path),
-            f"must be a table of comma-separated values{hint} (in Python:"
-            f" pandas.read_csv(path, sep={sign!r}, decimal=',').to_csv('new.csv',"
-            " index=False))",
+            repr(path), f"must be a table of comma-separated values{hint}"
         )
 
 

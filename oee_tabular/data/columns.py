@@ -400,7 +400,7 @@ class LogColumns:
         Each line of a CSV file is a transition: a quote that does not close in its
         line is an error, and so is a second header. A missing reward is an empty field
         or a word as other programs write it: nan, NA, NULL, None, N/A. Flags are true,
-        false, t, f, 0 and 1. Episodes are as many as their texts: 7 and 007 are two.
+        false, t, f, yes, no, y, n, 0 and 1. Episodes are as many as their texts: 7 and 007 are two.
 
         Of several files, the last episode of one and the first of the next are one
         where they have one id, the last row is neither terminated nor truncated, and
@@ -439,7 +439,9 @@ class LogColumns:
         refuse_same_bytes(found)
         reported: set[Any] = set()
         parts = (files.load(form, file, reported, names) for file in found)
-        log: Self = join_logs(cls, found, parts, files.warn_of_empty_files)
+        log: Self = join_logs(
+            cls, found, parts, files.warn_of_empty_files, form.columns
+        )
         return log
 
 

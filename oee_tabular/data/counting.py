@@ -56,6 +56,11 @@ FirstFault: TypeAlias = tuple[int, str, str, int]
 WAY = " (bad_rows='drop', --bad-rows drop, leaves such rows out and counts them)"
 
 
+# kinds of faults of rows that are counted, in episodes that are broken
+ORDER_KINDS = {"together"} | {f"order of {label}" for label in COLUMNS}
+COUNTED = " (such rows are counted; their episodes are not whole)"
+
+
 class Limits(NamedTuple):
     """Hold what rows must keep to: numbers below ``sizes`` (states, actions), or names.
 
@@ -445,7 +450,7 @@ class _FileCount:
         if self.first is None:
             self.first = self._row(columns, 0, is_sound=not is_broken[0])
             begins[0] &= not self.limits.has_others  # it may go on from another file
-        hint = order_hint(self.file, self.table.known)
+        hint = order_hint(self.file, self.table.known, self.table.matching.fields())
         for fault in find_order_faults(columns, before, begins, follows):
             fault = fault._replace(hint=fault.hint + hint)
             self._note_fault(f"order of {fault.label}", fault, rows)
@@ -566,10 +571,12 @@ class _FileCount:
         Raises a ValueError where such rows are refused.
         """
         words = []
-        for _, place, rule, n in sorted(self.faults.values())[:N_REASONS]:
+        first = sorted(self.faults, key=self.faults.__getitem__)[:N_REASONS]
+        for kind in first:
+            _, place, rule, n = self.faults[kind]
             others = f"; {n - 1} other rows break the same rule" if n > 1 else ""
             error = ArgumentError(f"{self.path!r}: {place}", rule + others)
-            words.append(str(error))
+            words.append(f"{error}{COUNTED if kind in ORDER_KINDS else ''}")
             if not self.limits.drop:
                 raise ArgumentError(error.argument, error.rule + WAY)
         recording = Recording(

@@ -65,6 +65,10 @@ NO_LOGS = (
 NO_LOG_NAMES = ("readme", "licen", "copying", "notice", "changelog", "makefile")
 MINARI_FILES = ("metadata.json", "main_data.hdf5")
 MAX_SHOWN_FILES = 5
+WAY = (
+    " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
+    " bad_rows='drop'), oee counts --bad-rows drop)"
+)
 Columns = dict[str, Column]
 OwnNames: TypeAlias = Mapping[str, tuple[Name, ...] | None]  # by a column's label
 
@@ -278,7 +282,11 @@ def _load_table(
     """Read the columns of a log from a CSV or parquet file."""
     table = open_table(file, form)
     values = check_table(
-        _read_whole(file, table), repr(name), names=names, find_text=table.find_text
+        _read_whole(file, table),
+        repr(name),
+        names=names,
+        find_text=table.find_text,
+        way=WAY,
     )
     columns = form.from_table(values, name)
     found = table.matching

@@ -122,12 +122,18 @@ class Folders:
     def __init__(self) -> None:
         self.found: dict[str, tuple[tuple[str, str], ...]] = {}
 
-    def add(self, file: LogFile, known: Iterable[str], episodes: Iterable[Any]) -> None:
+    def add(
+        self,
+        file: LogFile,
+        known: Iterable[str],
+        episodes: Iterable[Any],
+        named: Mapping[str, str],
+    ) -> None:
         """Raise an ArgumentError where an episode stands in another folder as well.
 
-        ``known``: a log's columns.
+        ``known``: a log's columns. ``named``: those of the labels that were given.
         """
-        folder = _parting_folders(file, known)
+        folder = _parting_folders(file, known, named)
         if not folder:
             return
         for episode in episodes:
@@ -147,26 +153,29 @@ class Folders:
 
 
 def _parting_folders(
-    file: LogFile, known: Iterable[str]
+    file: LogFile, known: Iterable[str], named: Mapping[str, str]
 ) -> tuple[tuple[str, str], ...]:
     """Return the folders that name a column of a log, but for its episodes.
 
-    ``known``: a log's columns. A folder may have another project's label of one.
+    ``known``: a log's columns. A folder may have another project's label of one, or one
+    that was ``named``.
     """
     columns = set(known) - {"episode"}
     return tuple(
         (label, text)
         for label, text in file.fixed
-        if (find_field(label, has_vectors=False) or label) in columns
+        if (named.get(label) or find_field(label, has_vectors=False) or label)
+        in columns
     )
 
 
-def order_hint(file: LogFile, known: Iterable[str]) -> str:
+def order_hint(file: LogFile, known: Iterable[str], named: Mapping[str, str]) -> str:
     """Return what else may be wrong where rows of an episode do not follow each other.
 
-    Empty where the file stands in no folder that names a column.
+    Empty where the file stands in no folder that names a column. ``named``: the columns
+    of labels that were given.
     """
-    folder = _parting_folders(file, known)
+    folder = _parting_folders(file, known, named)
     if not folder:
         return ""
     return (
@@ -180,11 +189,12 @@ def join_logs(
     found: Sequence[LogFile],
     parts: Iterable[dict[str, Column]],
     warn_of_empty_files: Callable[[Sequence[str], int], None],
+    columns_of: Mapping[str, Any],
 ) -> Any:
     """Return the log of the columns of several files, in their order.
 
     ``cls`` is the class of the log. ``warn_of_empty_files`` is told which have no rows,
-    and the number of all. Files without rows are passed over, where others
+    and the number of all. ``columns_of``: what the files call a log's columns. Files without rows are passed over, where others
     have some.
     """
     logs: list[Any] = []
@@ -194,6 +204,9 @@ def join_logs(
     folders = Folders()
     namesakes = Namesakes(found)
     overlaps = Overlaps()
+    named = {
+        label: field for field, label in columns_of.items() if isinstance(label, str)
+    }
     empty: list[str] = []
     last = None
     for file, columns in zip(found, parts, strict=True):
@@ -211,7 +224,7 @@ def join_logs(
         if "episode" in columns and n and is_table:
             if file.fixed:
                 names = np.unique(columns["episode"].astype(str)).tolist()
-                folders.add(file, columns, names)
+                folders.add(file, columns, names, named)
             row = Row(file.path, _row(columns, 0))
             if last is not None:
                 verdict = judge(last, row, _differs(cls))
@@ -230,7 +243,11 @@ def join_logs(
             try:
                 logs.append(cls(**columns))
             except ArgumentError as error:
-                hint = order_hint(file, columns) if n and "episode" in columns else ""
+                hint = (
+                    order_hint(file, columns, named)
+                    if n and "episode" in columns
+                    else ""
+                )
                 raise ArgumentError(error.argument, error.rule + hint) from None
         is_one.append(verdict.is_one)
         shifts.append(shift)

@@ -54,14 +54,18 @@ class Matching(NamedTuple):
         parts = [part for group in self.taken.values() for part in self.rename(group)]
         return list(dict.fromkeys(parts))
 
+    def fields(self) -> dict[Any, str]:
+        """Return the column of a log that each label holds by itself."""
+        return {
+            group[0]: field for field, group in self.taken.items() if len(group) == 1
+        }
+
     def rename(self, labels: Iterable[Any]) -> list[str]:
         """Return labels of a file as a log's where each is a whole column of it.
 
         Others are not taken for a log's own.
         """
-        whole = {
-            group[0]: field for field, group in self.taken.items() if len(group) == 1
-        }
+        whole = self.fields()
         return [
             whole.get(label, f"\0{label}" if stem(label) in COLUMNS else label)
             for label in labels
@@ -233,10 +237,13 @@ def _find_group(
         )
     for label in group:
         if not is_label(label, labels):
+            hint = suggest_label(label, labels)
+            if isinstance(label, str):
+                hint = suggest_columns([plain(label)], labels) or hint
             raise ArgumentError(
                 "columns",
                 f"must name columns of {name}, which are {show_labels(labels)}; for"
-                f" {field} it names {_checks.show(label)}{suggest_label(label, labels)}",
+                f" {field} it names {_checks.show(label)}{hint}",
             )
     if (
         not group
@@ -463,7 +470,12 @@ def suggest_columns(required: Sequence[str], labels: Sequence[Any]) -> str:
         if mark in first and {plain(part) for part in first.split(mark)} & set(
             required
         ):
-            return f": its fields must be separated by commas; they are by {word}"
+            decimal = ", decimal=','" if mark == ";" else ""
+            return (
+                f": its fields must be separated by commas; they are by {word} (in"
+                f" Python: pandas.read_csv(path, sep={mark!r}{decimal})"
+                ".to_csv('new.csv', index=False))"
+            )
     written = {
         label: plain(label)
         for label in labels

@@ -17,6 +17,7 @@ import numpy as np
 from oee_tabular import _checks, _parallel
 from oee_tabular.data.copies import Namesakes, Overlaps, refuse_same_bytes
 from oee_tabular.data.counting import (
+    COUNTED,
     LARGEST,
     WAY,
     FileCounts,
@@ -191,7 +192,7 @@ def _add_files(
             warn_left_out(file.path, counts.matching.left_out)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
-        folders.add(file, counts.known, counts.episodes)
+        folders.add(file, counts.known, counts.episodes, counts.matching.fields())
         overlaps.add(file.path, counts.ends_print)
         if counts.sums is None and not counts.recording.dropped:
             empty.append(file.path)
@@ -267,7 +268,7 @@ class _Episodes:
             place = f"{ends.first.path!r}: {TIMESTEP}"
             if not self.limits.drop:
                 raise ArgumentError(place, verdict.fault + WAY)
-            words = str(ArgumentError(place, verdict.fault))
+            words = f"{ArgumentError(place, verdict.fault)}{COUNTED}"
             recording = recording._replace(
                 broken=recording.broken + (not head.is_broken),
                 reasons=(words, *recording.reasons)[:N_REASONS],

@@ -49,7 +49,16 @@ KINDS = {
 }
 COLUMNS = tuple(KINDS)
 # in small letters, without blanks around; numbers that are 0 or 1 are flags as well
-FLAG_WORDS = {"true": True, "t": True, "false": False, "f": False}
+FLAG_WORDS = {
+    "true": True,
+    "t": True,
+    "yes": True,
+    "y": True,
+    "false": False,
+    "f": False,
+    "no": False,
+    "n": False,
+}
 # what programs write for no value, in small letters, without blanks around
 MISSING_WORDS = frozenset(
     {
@@ -80,6 +89,7 @@ MISSING_WORDS = frozenset(
 
 
 MUST_HAVE = "must have a value"
+DECIMAL_POINT = " (write a decimal point, not a comma)"
 NO_NAMES: Mapping[str, tuple[Name, ...] | None] = {}
 
 
@@ -108,7 +118,7 @@ class Fault(NamedTuple):
     def problem(self) -> str:
         """Return the rule and the value in words, the sentence after the place."""
         if is_missing(self.value):
-            return "must have a value; it has none"
+            return f"must have a value; it has none{self.hint}"
         text = self.value.strip() if isinstance(self.value, str) else ""
         # a number is shown without quotes
         is_number = bool(text) and len(text) < 80 and is_number_text(text)
@@ -181,13 +191,24 @@ def find_fault(
         if isinstance(value, str) and not value.strip():
             value = None
         return Fault(label, rows, MUST_HAVE, value)
-    return Fault(label, rows, rule, value, _suggest_value(value, label, has_names))
+    hint = _suggest_value(value, label, has_names)
+    is_word = isinstance(value, str) and not is_number_text(value)
+    is_first = first == 0 and rows.size == 1 and len(raw) > 1
+    if is_first and is_word and not hint and label not in MOVE:
+        hint = " (a row of units below the header? Leave it out)"
+    return Fault(label, rows, rule, value, hint)
 
 
 def _suggest_value(value: Any, label: str, has_names: bool) -> str:
     """Return a hint for the value that breaks a rule, in words; empty without one."""
+    kind = KINDS.get(label, "numbers")
+    if isinstance(value, str) and not is_number_text(value):
+        if kind == "numbers":
+            return _suggest_number(value.strip())
+        if kind == "booleans":
+            return " (write true and false, yes and no, or 1 and 0)"
     if isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value):
-        return " (write a decimal point, not a comma)"
+        return DECIMAL_POINT
     # nan, which is not above 0, where it is no number
     if label.endswith("action") and _parse_number(value) % 1 > 0:
         return " (call the column of a continuous task's commands action_0)"
@@ -195,6 +216,22 @@ def _suggest_value(value: Any, label: str, has_names: bool) -> str:
     is_word = is_word and not is_number_text(value)
     if label in MOVE and is_word and not has_names:
         return " (names take a simulator that has them: simulator=, --simulator)"
+    return ""
+
+
+def _suggest_number(text: str) -> str:
+    """Return how to write the number that a text means, in words."""
+    if re.fullmatch(r"[-+]?\d+,\d+", text):
+        return DECIMAL_POINT
+    if re.fullmatch(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?", text):
+        return " (write it without commas: pandas.read_csv(path, thousands=','))"
+    if re.fullmatch(r"[\u2212\u2013\u2012]\s*[\d.]+", text):
+        return " (write the minus as a hyphen: -1)"
+    if re.fullmatch(r"\([\d.]+\)", text):
+        return " (write a minus, -1, in place of parentheses)"
+    unit = r"[^\d\s.,+()-]+"
+    if re.fullmatch(rf"[-+]?[\d.,]+\s*{unit}|{unit}\s*[-+]?[\d.,]+", text):
+        return " (write the number alone, without its unit)"
     return ""
 
 
@@ -297,6 +334,7 @@ def check_table(
     *,
     names: Mapping[str, tuple[Name, ...] | None] = NO_NAMES,
     find_text: Callable[[str, int], Any] | None = None,
+    way: str = "",
 ) -> dict[str, Column]:
     """Return the values of a table's columns; names and episodes may be texts.
 
@@ -313,6 +351,8 @@ def check_table(
         for a missing value. They stay in their columns.
     find_text : callable, optional
         Returns the text of a field by its label and row, as the file writes it.
+    way : str, default ''
+        What errors of missing values add: how to leave them out.
     """
     headers = find_headers(columns, list(columns))
     if headers.size:
@@ -326,6 +366,8 @@ def check_table(
         if fault is not None:
             if find_text is not None:
                 fault = fault.with_text(find_text(label, int(fault.rows[0])))
+            if is_absent(fault.value, own):
+                fault = fault._replace(hint=way)
             raise fault.to_error(source)
     _require_one_kind(values, source)
     return values
@@ -535,7 +577,12 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     if label == "reward":
         is_good |= _find_absent(raw)
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
-    return numbers, find_fault(label, raw, {rule: ~is_good})
+    is_word = np.zeros(len(raw), dtype=np.bool_)
+    if raw.dtype.hasobject:
+        odd = np.flatnonzero(~is_good)
+        is_word[odd] = [_is_no_number(item) for item in raw[odd].tolist()]
+    rules = {"must be a number": ~is_good & is_word, rule: ~is_good & ~is_word}
+    return numbers, find_fault(label, raw, rules)
 
 
 def _find_absent(raw: Column) -> BoolArray:
@@ -636,6 +683,11 @@ def _match_names(
     return np.maximum(numbers, 0), fault
 
 
+MAX_PARTS = 10  # of an episode, on average; above it rows are shuffled
+SORT = (
+    " (its rows stand apart nearly everywhere: sort the table by episode and time, as"
+    " pandas' sort_values does)"
+)
 # how ids that restart in each file become unique
 UNIQUE = (
     " (where ids restart in each of the files that were joined, write the file's name"
@@ -653,9 +705,11 @@ def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
         return None
     k = int(np.setdiff1d(np.arange(len(names)), index)[0])
     name = names[k].item() if isinstance(names[k], np.generic) else names[k]
+    # ids that restart in each of many files begin again as often
+    is_shuffled = len(names) > MAX_PARTS * len(unique)
     return int(rows[k]), (
         f"must keep the rows of an episode together; {_checks.show(name)} begins again"
-        f" in row {rows[k]}{UNIQUE}"
+        f" in row {rows[k]}{SORT if is_shuffled else UNIQUE}"
     )
 
 

@@ -25,7 +25,7 @@ import unicodedata
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,6 +61,7 @@ MAX_LINE_CHARACTERS = 2**24  # of a CSV file, which is read no further
 BLOCK_BYTES = (
     2**18
 )  # which processors keep near; of 2**20 the reading takes 1.2 times as long
+MAX_LINES_ABOVE = 5  # above a header, that are looked at where there is none
 WINDOW_BYTES = 2**16  # half of csv's longest field
 # bytes that tell nothing of the number of fields
 OTHER_BYTES = bytes(set(range(256)) - set(b',\n\r"\0'))
@@ -137,7 +138,17 @@ def open_table(file: LogFile, form: Any) -> Table:
             " those that a log has)",
         )
     folders = [label for label in dict(file.fixed) if label not in labels]
-    matching = form.match([*labels, *folders], file.path)
+    try:
+        matching = form.match([*labels, *folders], file.path)
+    except ArgumentError as error:
+        number = None if is_parquet else _find_header(file, form, folders)
+        if number is None:
+            raise
+        raise ArgumentError(
+            error.argument,
+            f"{error.rule} (line {number} looks like the header: leave the lines above"
+            " it out of the file)",
+        ) from None
     # a folder that is no column of a log is none of its file's
     left = tuple(label for label in matching.left_out if label in labels)
     matching = matching._replace(left_out=left)
@@ -162,6 +173,20 @@ def open_table(file: LogFile, form: Any) -> Table:
         return fields[k] if k < len(fields) else None
 
     return Table(labels, list(matching.taken), pieces(), matching, find_text)
+
+
+def _find_header(file: LogFile, form: Any, folders: list[str]) -> int | None:
+    """Return the number of one of the next lines if it is a log's header, else None."""
+    path = _files.local(file.path)
+    lines = itertools.islice(
+        _csv_lines(path, _csv_header(path)[2]), 1, MAX_LINES_ABOVE + 1
+    )
+    with suppress(ArgumentError):
+        for line in lines:
+            with suppress(ArgumentError):
+                form.match([*_plain_labels(line.fields), *folders], file.path)
+                return line.number
+    return None
 
 
 def match_own(file: LogFile, labels: Iterable[str]) -> Matching:

@@ -590,6 +590,8 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
         if facts.get("rows_dropped_of_known_pairs"):
             known = facts["rows_dropped_of_known_pairs"]
             text += f" ({known} of known state and action)"
+    elif facts.get("broken_episodes"):
+        text += f"; {_count(facts['broken_episodes'], 'episode')} broken"
     return text
 
 

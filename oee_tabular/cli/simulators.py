@@ -1,0 +1,214 @@
+"""Simulators from CSV tables: of samples, or of transitions with their probabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import oee_tabular as oee  # whose rooms are imported on use
+from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
+
+FIELDS = ("state", "action", "next_state", "probability", "reward")
+TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
+
+
+def is_table(spec: str) -> bool:
+    """Say whether a simulator's name is that of a table's file."""
+    return spec.lower().endswith(TABLES)
+
+
+def refuse_table(spec: str) -> None:
+    """Raise an ArgumentError where a simulator is named by the file of a table."""
+    if is_table(spec):
+        raise ArgumentError(
+            "--simulator",
+            f"must be a task, an environment or a saved FiniteMDP (.npz); {spec!r} is a"
+            f" table (of samples, or with a column probability: oee export {spec}"
+            " --initial STATE --discount G --output simulator.npz; in Python, of"
+            " samples: log = Transitions.load(path); FiniteMDP.from_log(log,"
+            " initial=STATE, discount=G).save('simulator.npz'))",
+        )
+
+
+def read_simulator(
+    path: str, columns: Mapping[str, Any], initial: str | None, discount: float | None
+) -> oee.FiniteMDP:
+    """Make a simulator of a table: of samples, or of transitions with probabilities.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    columns : mapping
+        What it calls the columns of a log, and probability.
+    initial : str, optional
+        The first state, by name or number. Samples with episodes say it themselves.
+    discount : float, optional
+        The discount, 0.99 by default.
+
+    Returns
+    -------
+    FiniteMDP
+        The frequencies of the samples, or the probabilities of the table.
+    """
+    from oee_tabular.data.aliases import POLICY_PROBABILITY
+    from oee_tabular.data.rules import plain
+    from oee_tabular.data.tables import read_labels
+
+    start: Any = initial
+    if initial is not None and initial.strip().lstrip("-").isdigit():
+        start = int(initial)
+    gamma = 0.99 if discount is None else discount
+    is_read = path.lower().endswith((".csv", ".csv.gz", ".parquet"))
+    labels = read_labels(path) if is_read and Path(path).is_file() else []
+    if not any(plain(label) in POLICY_PROBABILITY for label in labels):
+        log = oee.Transitions.load(path, columns=columns)
+        if start is None and log.episode is None:
+            _require_initial(path)
+        return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
+    if start is None:
+        _require_initial(path)
+    arguments = _read_probabilities(path, columns)
+    return oee.FiniteMDP(initial=start, discount=gamma, **arguments)
+
+
+def _require_initial(path: str) -> None:
+    """Raise an ArgumentError where nothing says where episodes start."""
+    raise ArgumentError(
+        "--initial",
+        f"must be given: {path!r} does not say where episodes start (--initial STATE)",
+    )
+
+
+def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a FiniteMDP from a table of its transitions.
+
+    A state that no row leaves is terminal.
+    """
+    from oee_tabular.mdp.arrays import csr_from_entries
+
+    name = repr(path)
+    state, action, following, probability, reward = _read_columns(path, columns)
+    number, states = _number(np.concatenate([state, following]))
+    codes, actions = _number(action)
+    n = len(state)
+    n_states = int(number.max()) + 1
+    n_actions = int(codes.max()) + 1
+    rows = number[:n] * n_actions + codes
+    to = number[n:]
+    twice = np.flatnonzero(_is_repeated(rows * n_states + to))
+    if twice.size:
+        k = int(twice[0])
+        raise ArgumentError(
+            f"{name}: row {k}",
+            "must be the only one of its state, action and next_state;"
+            f" {state[k]}, {action[k]}, {following[k]} has another",
+        )
+    ends = np.setdiff1d(np.arange(n_states), number[:n])
+    loops = (ends[:, None] * n_actions + np.arange(n_actions)).ravel()
+    shape = (n_states * n_actions, n_states)
+    rows = np.concatenate([rows, loops])
+    to = np.concatenate([to, np.repeat(ends, n_actions)])
+    zeros = np.zeros(len(loops))
+    lacking = np.setdiff1d(np.arange(shape[0]), rows)
+    if lacking.size:
+        s, a = divmod(int(lacking[0]), n_actions)
+        shown = [
+            s if states is None else states[s],
+            a if actions is None else actions[a],
+        ]
+        raise ArgumentError(
+            name,
+            "must have every action of a state that has one; state"
+            f" {shown[0]}, action {shown[1]} is not there ({lacking.size} such pairs)",
+        )
+    return {
+        "transitions": csr_from_entries(
+            rows, to, np.concatenate([probability, zeros + 1]), shape
+        ),
+        "rewards": csr_from_entries(rows, to, np.concatenate([reward, zeros]), shape),
+        "state_names": states,
+        "action_names": actions,
+    }
+
+
+def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
+    """Return state, action, next_state, probability and reward of a table."""
+    from oee_tabular.cli.policies import drop_index
+    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field
+    from oee_tabular.data.labels import show_labels, warn_left_out
+    from oee_tabular.data.rules import plain
+    from oee_tabular.data.tables import csv_frame
+
+    name = repr(path)
+    if not path.lower().endswith((".csv", ".csv.gz")):
+        raise ArgumentError(name, "must be a .csv file, to have probabilities")
+    for field in columns:
+        if field not in FIELDS:
+            raise ArgumentError(
+                "--column",
+                f"must name columns of {', '.join(FIELDS)} for a table with"
+                f" probabilities; it names {_checks.show(field)}",
+            )
+    frame = drop_index(csv_frame(path))
+    found = []
+    used = []
+    for field in FIELDS:
+        label = columns.get(field)
+        if label is None:
+            likely = [
+                each
+                for each in frame.columns
+                if each == field
+                or (field == "probability" and plain(each) in POLICY_PROBABILITY)
+                or find_field(each, has_vectors=False) == field
+            ]
+            label = field if field in likely else (likely or [None])[0]
+        if label not in list(frame.columns):
+            option = f" (--column {field}=LABEL)" if field != "probability" else ""
+            raise ArgumentError(
+                name,
+                "must have the columns state, action, next_state, probability and"
+                f" reward; it has {show_labels(list(frame.columns))}, and none is"
+                f" {field}{option}",
+            )
+        used.append(label)
+        values = frame[label].to_numpy()
+        if frame[label].isna().any():
+            k = int(np.flatnonzero(frame[label].isna())[0])
+            raise ArgumentError(
+                f"{name}: {field}[{k}]", "must have a value; it has none"
+            )
+        if field in ("probability", "reward"):
+            if values.dtype.kind not in "iufb":
+                raise ArgumentError(
+                    f"{name}: {field}",
+                    "must hold numbers alone; its first value is"
+                    f" {_checks.show(values[0])}",
+                )
+            values = values.astype(np.float64)
+        found.append(values)
+    warn_left_out(path, [label for label in frame.columns if label not in used])
+    return found
+
+
+def _number(column: Any) -> tuple[Any, list[Any] | None]:
+    """Return a column of names as numbers in the order of first rows, with the names.
+
+    A column of numbers has no names.
+    """
+    if column.dtype.kind in "iu":
+        return column.astype(np.int64), None
+    names = list(dict.fromkeys(column.tolist()))
+    place = {name: k for k, name in enumerate(names)}
+    return np.array([place[name] for name in column.tolist()]), names
+
+
+def _is_repeated(values: Any) -> Any:
+    """Say of each value whether it stands there more than once."""
+    _, code, number = np.unique(values, return_inverse=True, return_counts=True)
+    return number[code] > 1

@@ -1,0 +1,166 @@
+"""Simulators from tables, and what a log's messages propose."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+
+
+def table_of(mdp, *, has_names=True):
+    """Return a row for each transition from a state that is not terminal."""
+    rows = []
+    for k, (p, r) in enumerate(
+        zip(mdp.transitions.toarray(), mdp.rewards.ravel(), strict=True)
+    ):
+        s, a = divmod(k, mdp.n_actions)
+        if not mdp.absorbing()[s]:
+            rows += [(s, a, t, p[t], r) for t in np.flatnonzero(p)]
+    frame = pd.DataFrame(
+        rows, columns=["state", "action", "next_state", "probability", "reward"]
+    )
+    if has_names:
+        for column in ("state", "next_state"):
+            frame[column] = [mdp.state_names[k] for k in frame[column]]
+        frame["action"] = [mdp.action_names[k] for k in frame["action"]]
+    return frame
+
+
+@pytest.mark.parametrize("labels", [{}, {"state": "from", "next_state": "to"}])
+@pytest.mark.parametrize("has_names", [False, True])
+def test_a_table_of_probabilities_becomes_a_simulator(run, folder, labels, has_names):
+    grid = oee.FiniteMDP.load("sim.npz")
+    table = table_of(grid, has_names=has_names).rename(columns=labels)
+    table.to_csv("table.csv", index=not labels)
+    words = " ".join(f"--column {field}={label}" for field, label in labels.items())
+    start = grid.state_names[0] if has_names else 0
+    run(f"export table.csv {words} --initial {start} --discount 0.9 --output t.npz")
+    made = oee.FiniteMDP.load("t.npz")
+    assert_allclose(
+        oee.policy_value(made, oee.uniform_policy(made)),
+        oee.policy_value(grid.with_discount(0.9), oee.uniform_policy(grid)),
+    )
+
+
+def test_samples_become_a_simulator(run, folder):
+    run("export log.csv --discount 0.8 --output s.npz")
+    log = oee.Transitions.load("log.csv")
+    made = oee.FiniteMDP.load("s.npz")
+    same = oee.FiniteMDP.from_log(log, discount=0.8)
+    assert_allclose(made.transitions.toarray(), same.transitions.toarray())
+    assert made.sampling is not None
+    assert json.loads(run("export log.csv --output j.npz --json"))["discount"] == 0.99
+    rows = pd.read_csv("log.csv")[["state", "action", "next_state", "reward"]]
+    rows.to_csv("rows.csv", index=False)
+    told = run("export rows.csv --output r.npz", code=2)
+    assert "--initial must be given: 'rows.csv' does not say where episodes" in told
+    run("export rows.csv --output r.npz --initial 0")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda t: pd.concat([t, t[:1]]), "must be the only one of its state, action"),
+        (lambda t: t[1:], "sum to 1"),
+        (lambda t: t[t.action != "n"][:-9], "must have every action of a state"),
+        (lambda t: t.assign(probability="x"), "probability must hold numbers alone"),
+        (lambda t: t.assign(state=t.state.mask(t.index == 4)), "state[4] must have a"),
+        (lambda t: t.drop(columns="reward"), "and none is reward (--column reward="),
+    ],
+)
+def test_tables_that_are_no_simulator(run, folder, change, text):
+    change(table_of(oee.FiniteMDP.load("sim.npz"))).to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert text in told
+    told = run("export t.csv --column epsode=x --initial r0c0 --output m.npz", code=2)
+    assert told.startswith("oee: --column must name columns of state, action")
+    assert not (folder / "made.npz").exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate --log log.csv --simulator", "export"])
+def test_a_table_in_place_of_a_simulator(run, folder, command):
+    told = run(f"{command} log.tsv --output x.npz", code=2)
+    if command == "export":
+        assert "log.tsv" in told
+    else:
+        assert "oee export log.tsv --initial STATE" in told
+        assert "FiniteMDP.from_log(log, initial=STATE" in told
+    told = run("export sim.npz --column state=x --output x.npz", code=2)
+    assert "--column must be left out for 'sim.npz'" in told
+
+
+NUMBERS = {
+    "-3,5": "write a decimal point",
+    "12,000": "decimal point",
+    "-1,234.5": "write it without commas",
+    "\u22123": "write the minus as a hyphen",
+    "\u20137.5": "write the minus as a hyphen",
+    "(7.25)": "write a minus, -1, in place of",
+    "3 kg": "write the number alone, without its unit",
+    "$4.50": "write the number alone, without its unit",
+    "12%": "write the number alone, without its unit",
+}
+
+
+@pytest.mark.parametrize("text", NUMBERS)
+@pytest.mark.parametrize("read", [oee.Transitions.load, oee.Transitions.open])
+def test_rewards_that_are_no_numbers_have_a_remedy(tmp_path, text, read):
+    frame = pd.DataFrame({"state": [0, 0], "action": 0, "next_state": 0})
+    frame.assign(reward=["1.5", text]).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(
+        ValueError, match=r"reward\[1\] must be a number; it is"
+    ) as told:
+        read(tmp_path / "log.csv")
+    assert NUMBERS[text] in str(told.value)
+
+
+def test_odd_lines_have_a_remedy(run, folder):
+    frame = pd.read_csv("log.csv")
+    text = frame.to_csv(index=False)
+    (folder / "above.csv").write_text(f"exported by a robot\n\n{text}")
+    told = run("info above.csv", code=2)
+    assert "(line 3 looks like the header: leave the lines above it out" in told
+    header, rest = text.split("\n", 1)
+    units = ",".join("EUR" if label == "reward" else "0" for label in frame.columns)
+    (folder / "units.csv").write_text(f"{header}\n{units}\n{rest}")
+    assert "(a row of units below the header?" in run("info units.csv", code=2)
+    shuffled = frame.sample(frac=1, random_state=0)
+    shuffled.to_csv("shuffled.csv", index=False)
+    assert "sort the table by episode and time" in run("info shuffled.csv", code=2)
+    told = run("counts shuffled.csv --bad-rows drop --output c.npz")
+    assert "dropped:" not in told
+    assert "invalid: 'shuffled.csv'" in told
+    assert "(such rows are counted; their episodes are not whole)" in told
+    frame.to_csv("semicolons.csv", sep=";", index=False)
+    told = run("info semicolons.csv --column state=state", code=2)
+    assert "they are by semicolons (in Python: pandas.read_csv(path, sep=';'" in told
+    lost = frame.assign(next_state=frame.next_state.mask(frame.index == 7))
+    lost.to_csv("lost.csv", index=False)
+    told = run("evaluate --simulator sim.npz --log lost.csv --policy uniform", code=2)
+    assert "oee counts --bad-rows drop)" in told
+    told = run("counts lost.csv --bad-rows drop --output d.npz")
+    assert "1 invalid rows dropped, 1 episodes broken (1 of known state" in told
+
+
+def test_patterns_are_to_be_quoted(run, folder):
+    words = "evaluate --simulator sim.npz --policy uniform --log log.csv sim.npz"
+    told = run(words, code=2)
+    assert "--log must stand before each file; before 'sim.npz' it does not" in told
+
+
+def test_folders_by_an_action_of_another_name(tmp_path):
+    log = oee.sample_episodes(
+        oee.tasks.gridworld(3, 0.2), np.full((9, 4), 0.25), 20, 20, seed=0
+    )
+    frame = pd.DataFrame(log.columns()).rename(columns={"action": "cmd"})
+    for action, part in frame.groupby("cmd"):
+        (tmp_path / f"cmd={action}").mkdir()
+        part.drop(columns="cmd").to_csv(
+            tmp_path / f"cmd={action}" / "a.csv", index=False
+        )
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(ValueError, match="folders by cmd part the rows of an"):
+            read(tmp_path, columns={"action": "cmd", "timestep": None})
