@@ -105,7 +105,8 @@ def _count_rows(path: str) -> int:
         return max((len(array) for array in arrays.values() if array.ndim), default=0)
     with open_csv(path) as handle:
         blocks = iter(lambda: handle.read(BLOCK_BYTES), b"")
-        return max(sum(block.count(b"\n") for block in blocks) - 1, 0)
+        n_lines: int = sum(block.count(b"\n") for block in blocks)
+    return max(n_lines - 1, 0)
 
 
 def find_namesakes(files: Sequence[LogFile]) -> dict[str, str]:
@@ -278,7 +279,7 @@ def find_shared_rows(one: Print, other: Print) -> int:
     for each in windows:
         values, number = np.unique(each, return_counts=True)
         single.append(values[number == 1])
-    shared = np.intersect1d(*single, assume_unique=True)
+    shared = np.intersect1d(single[0], single[1], assume_unique=True)
     if not shared.size:
         return 0
     is_shared = []

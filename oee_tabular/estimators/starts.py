@@ -60,7 +60,8 @@ def _find_chances(counts: Array, n: int, law: Array, simulator: FiniteMDP) -> Ar
     """Return for each state the smaller of the two tails of its number of episodes."""
     from scipy import special
 
-    least = most = law
+    least: Any = law
+    most: Any = law
     sampling = simulator.sampling
     if sampling is not None and np.isfinite(sampling.starts):
         of = sampling.starts
