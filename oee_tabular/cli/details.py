@@ -184,7 +184,7 @@ JSON_KEYS = {
     "sample": "version, file, transitions, episodes",
     "policy": "version, file, states, actions",
     "export": "version, file, states, actions, transitions, discount",
-    "counts": "version, file, moves, dropped",
+    "counts": "version, file, moves, dropped, invalid",
     "info": "version, file, kind, text",
     "reproduce": "version, lines",
     "bench": "version, lines",

@@ -45,18 +45,20 @@ def refuse_same_bytes(files: Sequence[LogFile]) -> None:
 
     Of files of a few rows, which may be the same by chance, there is a warning.
     """
-    pairs = _find_same_bytes(files)
-    for one, other in pairs:
+    short = []
+    for one, other in _find_same_bytes(files):
         n_rows = _count_rows(one)
         words = f"{one!r} and {other!r} hold the same {n_rows} rows"
         if n_rows >= N_WINDOW:
             raise ArgumentError(
                 "path", f"must name each recording once; {words}{REMEDY}"
             )
-    if pairs:
-        more = f" ({len(pairs)} such files in all)" if len(pairs) > 1 else ""
+        if n_rows:
+            short.append(words)
+    if short:
+        more = f" ({len(short)} such files in all)" if len(short) > 1 else ""
         _checks.warn(
-            f"{words}{more}: they are counted twice, as two recordings; if they are"
+            f"{short[0]}{more}: they are counted twice, as two recordings; if they are"
             " copies, leave one of them out",
             DataWarning,
         )

@@ -62,7 +62,15 @@ NO_LOGS = (
     " .svg .eps .mp4 .crc .md5 .sha1 .sha256 .sha512 .sig .asc .lock .swp"
     " .err .pt .pth .onnx .license"
 )
-NO_LOG_NAMES = ("readme", "licen", "copying", "notice", "changelog", "makefile")
+NO_LOG_NAMES = (
+    "readme",
+    "notes",
+    "licen",
+    "copying",
+    "notice",
+    "changelog",
+    "makefile",
+)
 MINARI_FILES = ("metadata.json", "main_data.hdf5")
 MAX_SHOWN_FILES = 5
 WAY = (

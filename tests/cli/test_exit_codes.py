@@ -54,7 +54,7 @@ LINES = {
     "export": (
         "sim.npz --output e.npz",
         "sim.npz --output e.npz",
-        "log.csv --output f.npz",
+        "nothing.csv --output f.npz",
         "log.csv --output log.csv",
         "log.csv --output log.csv --overwrite",
         "folder --output f.npz",

@@ -198,7 +198,7 @@ def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
             else:
                 with pytest.raises(
                     ValueError,
-                    match=rf"l\{ending}': reward\[1\] must be finite; it is 'much'",
+                    match=rf"l\{ending}': reward\[1\] must be a number; it is 'much'",
                 ):
                     read(path)
 

@@ -36,6 +36,7 @@ def write(folder, table, cuts, ending):
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet", ".csv.gz"])
 @pytest.mark.parametrize("more", [(), ("timestep",)])
+@pytest.mark.filterwarnings("ignore:.* a header and no rows")
 @settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, len(LOG)), min_size=1, max_size=13))
 def test_a_log_is_the_same_wherever_it_is_cut(tmp_path_factory, ending, more, cuts):
@@ -137,6 +138,7 @@ def test_a_bad_row_where_an_episode_is_cut(tmp_path):
     assert len(found.sample) == 1
 
 
+@pytest.mark.filterwarnings("ignore:.* a header and no rows")
 def test_parts_without_rows(tmp_path):
     files(tmp_path, {"a.csv": "", "b.csv": "0,0,1,x", "c.csv": "", "d.csv": "1,0,2,x"})
     for found in (Transitions.load(tmp_path), Transitions.open(tmp_path)):

@@ -252,6 +252,7 @@ def test_whatever_stands_beside_a_log_s_own_columns_changes_nothing(labels):
         assert_array_equal(log.columns()[label], column)
 
 
+@pytest.mark.filterwarnings("ignore:.*hold the same 4 rows")
 def test_several_files_are_noted_once(tmp_path):
     for k in range(3):
         OURS.rename(columns={"reward": "rewards"}).to_csv(

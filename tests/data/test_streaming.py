@@ -203,7 +203,7 @@ def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
         (
             "behavior_probability",
             ["0.1", "0.1x", "0.9"],
-            r"must be in \[0, 1\]; it is '0\.1x'",
+            r"must be a number; it is '0\.1x'",
         ),
         ("truncated", [0.0, 0.5, 1.0], r"must be a boolean .*; it is 0\.5"),
         ("timestep", [0.0, 0.5, 1.0], r"must be an integer; it is 0\.5"),
@@ -286,7 +286,7 @@ BAD = [  # column, value in row 4, rule
         "x",
         r"must be an integer; it is 'x' \(names take a simulator that has them",
     ),
-    ("reward", "much", r"must be finite; it is 'much'"),
+    ("reward", "much", r"must be a number; it is 'much'"),
     ("truncated", "perhaps", r"must be a boolean"),
 ]
 CASES = [(*case, ending) for case in BAD for ending in (".csv", ".parquet")]
