@@ -195,7 +195,7 @@ def _settle(
 
 def _to_action(label: Any) -> Any:
     """Return a label as an action's number where it writes one."""
-    return int(label) if isinstance(label, str) and label.isdigit() else label
+    return int(label) if isinstance(label, str) and label.isdecimal() else label
 
 
 def _suggest(frame: Any, mdp: FiniteMDP) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks
+from oee_tabular._arguments import is_whole_number, whole_number
 from oee_tabular.exceptions import ArgumentError
 
 FIELDS = ("state", "action", "next_state", "probability", "reward")
@@ -60,8 +61,8 @@ def read_simulator(
     from oee_tabular.data.tables import read_labels
 
     start: Any = initial
-    if initial is not None and initial.strip().lstrip("-").isdigit():
-        start = int(initial)
+    if initial is not None and is_whole_number(initial):
+        start = whole_number(initial, "--initial")
     gamma = 0.99 if discount is None else discount
     is_read = path.lower().endswith((".csv", ".csv.gz", ".parquet"))
     labels = read_labels(path) if is_read and Path(path).is_file() else []
