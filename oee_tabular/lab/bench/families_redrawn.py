@@ -1,4 +1,4 @@
-"""Twenty kinds of environments that the other families do not have, redrawn by the seed.
+"""Twenty-two kinds of environments that the other families do not have, redrawn by the seed.
 
 Simulator and target are drawn anew for each seed. Each kind has two policies on one and
 the same pair of models and the same recorded policy: a near one, and a far one (its
@@ -45,6 +45,7 @@ SPLIT: Mapping[str, str] = {
     "warehouse": "held",
     "dosing": "tuned",
     "bus_engines": "tuned",
+    "bus_months": "tuned",
     "admission": "held",
     "weeds": "tuned",
     "bike_station": "held",
@@ -52,6 +53,7 @@ SPLIT: Mapping[str, str] = {
     "thermostat": "tuned",
     "sailing": "held",
     "pig": "tuned",
+    "road_sections": "held",
 }
 
 Generator = np.random.Generator
@@ -76,6 +78,7 @@ class Kind:
     start: Any = None
     ends: Any = ()
     length: int = 100
+    recorded: Callable[[Family, Generator], Array] | None = None
 
     def make(self, rng: Generator) -> tuple[Family, Family]:
         """Draw a pair of models, and make its families with a near and a far policy."""
@@ -92,16 +95,25 @@ class Kind:
             ends=self.ends,
             length=self.length,
         )()
-        return with_near_and_far(drawn, rng)
+        recorded = None
+        if self.recorded is not None:
+            recorded = self.recorded(drawn, rng)
+        return with_near_and_far(drawn, rng, recorded)
 
 
-def with_near_and_far(drawn: Family, rng: Generator) -> tuple[Family, Family]:
+def with_near_and_far(
+    drawn: Family, rng: Generator, recorded: Array | None = None
+) -> tuple[Family, Family]:
     """Return a family twice, with a policy near the recorded one and one far from it.
 
     All are mixtures of the simulator's optimum and uniform actions: the recorded one
-    has 15 to 50% of the optimum, the near one .15 more, the far one .95.
+    has 15 to 50% of the optimum, the near one .15 more, the far one .95. With a
+    recorded policy of its own, the near one has .1 of the optimum and the far one .6.
     """
     best = optimal_policy(drawn.simulator)
+    if recorded is not None:
+        near = replace(drawn, policy=mix(best, recorded, 0.1), data_policy=recorded)
+        return near, replace(near, policy=mix(best, recorded, 0.6))
     uniform = uniform_policy(drawn.simulator)
     share = float(rng.uniform(0.15, 0.5))
     recorded = mix(best, uniform, share)
@@ -342,6 +354,23 @@ def draw_buses(rng: Generator) -> tuple[tuple[float, ...], tuple[float, ...]]:
         for size, shares in ((4000, (0.307, 0.683, 0.01)), (4000, (0.392, 0.595, 0.013)))
     )
     return one, two
+
+
+def replace_seldom(family: Family, rng: Generator) -> Array:
+    """Return a policy that takes the second action the more often the more is worn."""
+    n = family.simulator.n_states
+    share = 0.002 + float(rng.uniform(0.02, 0.06)) * (np.arange(n) / n) ** 2
+    return np.stack([1 - share, share], axis=1)
+
+
+def road_sections(s: IntArray, a: IntArray, slow: float, fast: float) -> Moves:
+    """Leave or mend a section of a road with damage 0 to 69, which grows by seasons."""
+    here = np.where(a == 1, s // 4, s)
+    worn = here > 35
+    one = np.where(worn, fast, slow)
+    yield one + 0.0 * a, here + 1
+    yield 0.1 * one + 0.0 * a, here + 3
+    yield 1 - 1.1 * one + 0.0 * a, here
 
 
 def admission(s: IntArray, a: IntArray, large: float, service: float) -> Moves:
@@ -638,6 +667,32 @@ KINDS: Mapping[str, Kind] = {
         draw_buses,
         bus_engines,
         length=60,
+    ),
+    "bus_months": Kind(
+        "Buses of one group run fewer miles than those of another one; engines are"
+        " seldom replaced, and a few months of many buses are recorded.",
+        (90, 2),
+        -np.stack([0.0023 * np.arange(90.0), np.full(90, 10.0)], axis=1),
+        0.99,
+        draw_buses,
+        bus_engines,
+        length=2,
+        recorded=replace_seldom,
+    ),
+    "road_sections": Kind(
+        "Damaged sections of a road wear faster than simulated; they are seldom mended,"
+        " and a few seasons of many sections are recorded.",
+        (70, 2),
+        -np.stack([0.02 * np.arange(70.0), np.full(70, 6.0)], axis=1),
+        0.98,
+        both(
+            between((0.35, 0.5), (0.45, 0.6)),
+            between((0.9, 1.2), (0.7, 1.3)),
+        ),
+        road_sections,
+        start=range(65),
+        length=3,
+        recorded=replace_seldom,
     ),
     "admission": Kind(
         "Large jobs come more often than simulated, and take longer.",

@@ -5,7 +5,7 @@ policy spends 3 to 5% of its time in them, a far one 5 to 8%, or as near to that
 pairs allow. In half of the seeds the recorded pairs agree with the simulator, in the
 other half nearly. Models and policies are drawn anew for each seed.
 
-``families`` makes these and the twenty kinds of ``families_redrawn``. Rules and
+``families`` makes these and the kinds of ``families_redrawn``. Rules and
 constants of the interval were chosen on those that ``SPLIT`` calls tuned, and the held
 ones were run once when the choice was fixed.
 """

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
-from oee_tabular.exact import policy_value
+from oee_tabular.exact import occupancy, policy_value, reweight
 from oee_tabular.inference.evidence import Evidence, gather, unrecorded_share
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.lab.bench import facts_of
@@ -99,6 +100,25 @@ def gains(problem: Problem, zeta: TransitionRatio) -> Row:
     }
 
 
+def thickness(problem: Problem, zeta: TransitionRatio, policy: Array) -> Row:
+    """Return how many transitions are behind the policy's time in recorded pairs.
+
+    ``thickness`` is the harmonic mean of the counts by squared time, ``thin`` the mean
+    of 1 / count by time.
+    """
+    time = occupancy(reweight(problem.model, zeta), policy, horizon=problem.horizon)
+    n = row_sums(problem.counts)
+    is_open = np.diff(problem.model.transitions.indptr) > 1
+    has_data = (n > 0) & is_open
+    d = time.reshape(-1)[has_data]
+    n = n[has_data]
+    return {
+        "thickness": float((d**2).sum() / (d**2 / n).sum()),
+        "thin": float((d / n).sum() / d.sum()),
+        "recorded_pairs": int(has_data.sum()),
+    }
+
+
 def measure(family: Any, problem: Problem, *, has_intervals: bool) -> Row:
     """Measure value and interval of a family's policy on a log."""
     policy = family.policy
@@ -117,6 +137,10 @@ def measure(family: Any, problem: Problem, *, has_intervals: bool) -> Row:
         "model_simulator": float(fixed.diagnostics.get("model_value", np.nan)),
         **gains(problem, zeta),
         "unrecorded_ml": unrecorded_share(evidence),
+        "model_one": OffEnvironment(ratio=Conditional(strength=1.0))(
+            problem, policy
+        ).model_value,
+        **thickness(problem, zeta, policy),
     }
     fitted = zeta.values.data * problem.simulator.transitions.data
     kinds = {f"{k:g}": within_factor(evidence, fitted, k) for k in FACTORS}
