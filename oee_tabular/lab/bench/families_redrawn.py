@@ -117,9 +117,7 @@ def with_near_and_far(
     uniform = uniform_policy(drawn.simulator)
     share = float(rng.uniform(0.15, 0.5))
     recorded = mix(best, uniform, share)
-    near = replace(
-        drawn, policy=mix(best, uniform, share + 0.15), data_policy=recorded
-    )
+    near = replace(drawn, policy=mix(best, uniform, share + 0.15), data_policy=recorded)
     return near, replace(near, policy=mix(best, uniform, 0.95))
 
 
@@ -136,9 +134,7 @@ def clipped(sizes: tuple[int, ...], *coordinates: Any) -> Any:
     return state
 
 
-def independent(
-    sizes: tuple[int, ...], *laws: tuple[tuple[Any, Any], ...]
-) -> Moves:
+def independent(sizes: tuple[int, ...], *laws: tuple[tuple[Any, Any], ...]) -> Moves:
     """Yield the transitions of coordinates that move independently of each other.
 
     A law is pairs (probability, new coordinate).
@@ -223,7 +219,7 @@ def crossing(s: IntArray, a: IntArray, gap: float, slow: float) -> Moves:
     """Cross a road of three lanes; the state has the time to the next car."""
     place, time = parts(s, 5, 10)
     k = np.arange(1, 10)
-    law = normalize(gap**k)
+    law = normalize(np.power(gap, k, dtype=np.float64))
     steps = np.where(a == 1, 1 - slow, np.where(place > 0, 0.3, 0.02))
     for p, here in ((steps, place + 1), (1 - steps, place)):
         passes = time > 0
@@ -351,7 +347,10 @@ def draw_buses(rng: Generator) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     one, two = (
         tuple(float(x) for x in rng.dirichlet(size * np.array(shares)))
-        for size, shares in ((4000, (0.307, 0.683, 0.01)), (4000, (0.392, 0.595, 0.013)))
+        for size, shares in (
+            (4000, (0.307, 0.683, 0.01)),
+            (4000, (0.392, 0.595, 0.013)),
+        )
     )
     return one, two
 
@@ -503,7 +502,7 @@ def draw_dialog(rng: Generator) -> tuple[tuple[float, Array], tuple[float, Array
     """Draw how often answers are understood, and worse so for the third fact."""
     right = float(rng.uniform(0.55, 0.65))
     wrong = rng.uniform(0.05, 0.12, 3)
-    worse = wrong + [0.0, 0.0, float(rng.uniform(0.05, 0.2))]
+    worse = wrong + np.array([0.0, 0.0, rng.uniform(0.05, 0.2)])
     return (right, wrong), (right * float(rng.uniform(0.9, 1.05)), worse)
 
 

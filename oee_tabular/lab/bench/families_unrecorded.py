@@ -12,6 +12,7 @@ ones were run once when the choice was fixed.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -23,14 +24,12 @@ from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import occupancy, optimal_policy, state_values
 from oee_tabular.lab.bench import families_redrawn as redrawn
 from oee_tabular.lab.bench.families import Families
-from oee_tabular.lab.bench.family import Family, Moves, check_seed, poisson, scale_rows
 from oee_tabular.lab.bench.families_redrawn import (
     CHARGE,
     COLUMNS_RIGHT,
     KINDS,
     LARGE_JOBS,
     LEVEL,
-    PLACES,
     ROWS_UP,
     Generator,
     Kind,
@@ -38,6 +37,7 @@ from oee_tabular.lab.bench.families_redrawn import (
     make_pairs,
     parts,
 )
+from oee_tabular.lab.bench.family import Family, Moves, check_seed, poisson, scale_rows
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.typing import Array, BoolArray, IntArray
 
@@ -133,7 +133,8 @@ ORDERS = Kind(
     lambda s, a, to: 2.5 * np.maximum(s + 3 * a - to, 0) - 4.0 * a - 0.1 * to,
     0.95,
     redrawn.both(
-        redrawn.between((3.0, 5.0), (0.05, 0.15)), redrawn.between((1.0, 1.0), (1.0, 1.0))
+        redrawn.between((3.0, 5.0), (0.05, 0.15)),
+        redrawn.between((1.0, 1.0), (1.0, 1.0)),
     ),
     orders,
 )
@@ -291,8 +292,8 @@ def make_fault(name: str, rng: Generator) -> tuple[Family, Family]:
     target = model.with_transitions(scale_rows(csr_on_pattern(matrix, faulty)))
     uniform = np.where(hidden, 0.0, uniform_policy(model))
     uniform /= uniform.sum(axis=1, keepdims=True)
-    best = optimal_policy(model)
-    best = np.where(hidden.any(axis=1)[:, None], uniform, best)
+    is_here = hidden.any(axis=1, keepdims=True)
+    best = np.where(is_here, uniform, optimal_policy(model))
     recorded = mix(best, uniform, float(rng.uniform(0.2, 0.6)))
     near = mix(best, recorded, 0.3)
     far = mix(best, uniform, 0.95)
@@ -348,7 +349,5 @@ def families(seed: int = 0) -> Families:
         name: kind.make for name, kind in KINDS.items()
     }
     for name in FAULTS:
-        makers[name] = lambda rng, name=name: make_fault(name, rng)
-    return Families(
-        make_pairs(makers, {**redrawn.SPLIT, **SPLIT}, number), number, {}
-    )
+        makers[name] = functools.partial(make_fault, name)
+    return Families(make_pairs(makers, {**redrawn.SPLIT, **SPLIT}, number), number, {})
