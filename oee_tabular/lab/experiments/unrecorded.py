@@ -307,8 +307,12 @@ def compare_values(table: pd.DataFrame) -> pd.DataFrame:
         ratio = cells.div(divisor, axis=0)
         found[over, "mean"] = np.exp(np.log(ratio).groupby("size").mean())
         found[over, "worst"] = ratio.groupby("size").max()
-    whole = pd.concat(found, names=["over", "what"]).stack()
-    return whole.rename_axis([*whole.index.names[:-1], "rule"]).unstack("size")
+    parts = [
+        ratio.T.rename_axis(index="rule", columns=None).assign(over=over, what=what)
+        for (over, what), ratio in found.items()
+    ]
+    whole = pd.concat(parts).set_index(["over", "what"], append=True)
+    return whole.reorder_levels(["over", "what", "rule"])
 
 
 def is_surely_below(covered: Any, least: float = LEAST_COVERAGE) -> bool:
