@@ -178,7 +178,9 @@ class Diagnostics(dict[str, Any]):
         " pairs.",
     )
     standard_error_if_centre_fits = Diagnostic(
-        float, "value", "The standard error if the prior of zeta is right."
+        float,
+        "value",
+        "A lower bound of the standard error: what it is if the prior of zeta is right.",
     )
     unrecorded_standard_error = Diagnostic(
         float,

@@ -127,16 +127,17 @@ class OffEnvironment(RatioEstimator):
     maximum-likelihood value has a large variance if there are few transitions. If the
     nearer value is more than 2 s away, change is lengthened towards the
     maximum-likelihood value, which it reaches at 4 s, because the linearisation error
-    then exceeds the sampling error; but it is at most doubled. s is the standard error of the difference of the
-    two values, se that of the one-step value, se_fit that of zeta * P if its prior
-    fits. lambda grows with s / se_fit: the more the prior can gain, the more evidence
-    the log needs against it. Its values minimise the largest regret over all biases of
-    the prior [1]_.
+    then exceeds the sampling error; but it is at most doubled. s is the standard error
+    of the difference of the two values, se that of the one-step value, se_fit that of
+    zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can
+    gain, the more evidence the log needs against it. Its values minimise the largest
+    regret over all biases of the prior [1]_.
 
     ``Estimate.standard_error`` is the root of the sum over recorded rows of Var(G) / n
     and over the others of Var(G), with G the derivative of J in zeta * P, and variances
-    under zeta * P; ``interval`` is the value ± 1.96 of it. The narrower
-    ``standard_error_if_centre_fits`` includes sampling noise alone. With "monte_carlo"
+    under zeta * P; ``interval`` is the value ± 1.96 of it.
+    ``standard_error_if_centre_fits`` is a lower bound: it is the standard error if the
+    prior fits, and value ± 1.96 of it covers too seldom elsewhere. With "monte_carlo"
     the standard error is that of the rollouts given zeta, which is too small if weights
     have heavy tails.
 

@@ -467,7 +467,7 @@ def compare_policies(
     Dropped transitions, and a simulator that was sampled, widen each difference by the
     most that they can change either value; P(best) ignores them.
 
-    Unrecorded pairs are as simulated in the values. If a policy spends much of its time
+    Unrecorded pairs are as estimated in the values. If a policy spends much of its time
     there (``unrecorded_share``), a target that differs there in one direction can
     change its value by more than the variance shows.
 

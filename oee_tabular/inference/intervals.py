@@ -85,7 +85,8 @@ class Interval:
     diagnostics : dict
         Plain numbers. ``unrecorded_share`` is the share of the policy's discounted time
         in stochastic pairs that were never recorded, and ``unrecorded_pairs`` how many
-        of them the policy reaches. If impossible transitions were dropped,
+        of them the policy reaches; ``unrecorded_factor`` is the factor that a
+        likelihood interval allows them. If impossible transitions were dropped,
         ``dropped_transitions`` is their number and ``dropped_share`` their estimated
         share of the policy's time. The others describe how the method found the ends.
     status : str
@@ -311,9 +312,18 @@ def interval(
 
     Notes
     -----
-    "likelihood" costs about a hundred linear solves, in all about a second for 10 000
-    states. "robust" costs a few policy evaluations, each with O(nnz) work in its rows.
+    "likelihood" costs about a hundred linear solves. Where the policy reaches
+    unrecorded pairs it costs about three times as many, since the ends at the factor 1
+    and at ``inf`` are found as well. "robust" costs a few policy evaluations, each with
+    O(nnz) work in its rows.
     "bootstrap" costs ``n_bootstrap`` policy evaluations.
+
+    A "likelihood" interval of a policy that reaches unrecorded pairs is, at a factor
+    between 1 and ``inf``, the one at 1 with its ends moved outwards: by as much as the
+    profile likelihood's ends move if the factor grows from 1 to this one, but not
+    beyond both ``sampling`` and ``worst_case``. So it holds the value, and a larger
+    factor below ``inf`` never gives a shorter interval. The ends at ``inf`` are around
+    the value by maximum likelihood, so one of them can lie inside.
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
     far models in the set may lie beyond its ends, 0 at convergence.

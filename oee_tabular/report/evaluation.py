@@ -145,7 +145,8 @@ def evaluate(
         (``interval(method="robust")``).
     quick : bool, default False
         Whether to leave out the likelihood intervals, which take most of the time in
-        large problems. Then ``guaranteed`` must be False and no bound may be given.
+        large problems. Then ``guaranteed`` must be False, and no bound, ``unrecorded``
+        or ``interval_seconds`` may be given.
     lower_ratio : float, optional
         A known lower bound in [0, 1] on P_target / P_simulator, the ratio of transition
         probabilities. It narrows likelihood intervals, guaranteed intervals and
@@ -165,7 +166,6 @@ def evaluate(
         from the simulator only along these features. The report then has one more
         estimator, ``"oee-features"``, whose interval rests on this assumption. ``tie``
         must be None.
-
     unrecorded : float, optional
         The factor, at least 1, by which the probabilities of pairs that were never
         recorded may differ from the estimated ones in likelihood intervals; as in
@@ -205,9 +205,9 @@ def evaluate(
     interval of their estimator, or else value ± a normal quantile times the standard
     error. ``diagnostics["interval_method"]`` of an estimate names its interval.
 
-    A likelihood interval costs about a hundred linear solves, a second for 10 000
-    states. It is left out of problems in which more than ten million transitions can be
-    reached.
+    A likelihood interval costs about a hundred linear solves, and about three times as
+    many where the policy reaches pairs that were never recorded. It is left out of
+    problems in which more than ten million transitions can be reached.
 
     Examples
     --------
@@ -477,7 +477,6 @@ def contest(
         A key for each transition, as in ``evaluate``.
     features : array, data frame or function, optional
         Features of each transition, as in ``evaluate``.
-
     unrecorded : float, optional
         The factor of pairs that were never recorded, as in ``evaluate``.
     interval_seconds : float, optional
