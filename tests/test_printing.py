@@ -94,14 +94,14 @@ def test_in_a_notebook(name):
 def test_estimates_and_intervals_in_one_line():
     assert (
         str(Estimate(2.0, 0.25, (1.5, 2.5)))
-        == "2 ± 0.25 (standard error), interval [1.500, 2.500]; discounted sum of"
+        == "2 ± 0.25 (standard error), interval [1.5, 2.5]; discounted sum of"
         " rewards, not normalised"
     )
     assert str(Estimate(2.0, status="too few")).endswith("not normalised; too few")
     found = oee.inference.Interval(1.0, 2.0, 0.9, "delta")
     assert (
         str(found)
-        == "[1.000, 2.000], 90% delta interval; discounted sum of rewards, not"
+        == "[1.0, 2.0], 90% delta interval; discounted sum of rewards, not"
         " normalised"
     )
     lost = oee.inference.Interval(

@@ -126,8 +126,8 @@ UnrecordedOption = Annotated[
     typer.Option(
         "--unrecorded",
         metavar="FACTOR",
-        help="By how much pairs that were never recorded may differ from the estimate in"
-        " intervals: 1 (as estimated) to inf (anything); 3 by default.",
+        help="Factor by which pairs never recorded may differ from the estimate: 1 to"
+        " inf; 3 by default.",
         rich_help_panel=VALUE,
     ),
 ]
@@ -137,8 +137,8 @@ IntervalSecondsOption = Annotated[
     typer.Option(
         "--interval-seconds",
         metavar="SECONDS",
-        help="Time in which the intervals of a large problem are searched for; by"
-        " default that of the rest, at least 30.",
+        help="Time for a large problem's intervals; by default that of the rest, at"
+        " least 30.",
         rich_help_panel=VALUE,
     ),
 ]
