@@ -404,6 +404,10 @@ evaluate(Problem(GRID, LOG, counts=0.5 * COUNTS), UNIFORM, guaranteed=True)  -> 
 evaluate(P, UNIFORM, quick=1)  ->  quick must be True or False; got 1
 evaluate(P, UNIFORM, quick=True, guaranteed=True)  ->  guaranteed must be False where quick is True
 evaluate(P, UNIFORM, quick=True, upper_ratio=2.0)  ->  quick must be False with lower_ratio or upper_ratio
+evaluate(P, UNIFORM, quick=True, unrecorded=2)  ->  quick must be False with unrecorded
+evaluate(P, UNIFORM, quick=True, interval_seconds=9)  ->  quick must be False with interval_seconds
+evaluate(P, UNIFORM, unrecorded=0.5)  ->  unrecorded must be in [1, inf]; it is 0.5
+evaluate(P, UNIFORM, interval_seconds=0)  ->  interval_seconds must be in (0, inf)
 evaluate(Problem(ENDLESS, LOG), UNIFORM, guaranteed=True)  ->  guaranteed must be False here: at discount 1 they need a horizon
 evaluate(P, UNIFORM, tie=KEYS, features=1.0 * KEYS)  ->  tie and features must not be given together
 evaluate(P, UNIFORM, quick=True).legend(3)  ->  rows must be a Report's records()
@@ -545,6 +549,8 @@ interval(P, UNIFORM, method="bootstrap", resample="episodes")  ->  log must have
 interval(Problem(GRID, LOG.draw(9, seed=0)), UNIFORM, method="bootstrap", resample="episodes")  ->  log must have episodes to be
 interval(Problem(GRID, 0.5 * COUNTS), UNIFORM, method="bootstrap")  ->  counts must be whole numbers to be resampled
 interval(P, UNIFORM, tie=KEYS, features=PHI)  ->  tie and features must not be given together
+interval(P, UNIFORM, unrecorded=-1)  ->  unrecorded must be in [1, inf]; it is -1
+interval(P, UNIFORM, seconds=0)  ->  seconds must be in (0, inf)
 interval(P, UNIFORM, tie=KEYS, lower_ratio=0.5)  ->  lower_ratio and upper_ratio must be None with tie
 interval(P, UNIFORM, features=PHI, method="delta")  ->  method must be 'likelihood' with features
 interval(P, UNIFORM, features=np.ones(120))  ->  features must differ between ...; feature 0 is constant

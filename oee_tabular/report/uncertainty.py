@@ -12,7 +12,7 @@ from typing import Any, Final, TypedDict
 import numpy as np
 from scipy import special
 
-from oee_tabular import _printing, _progress
+from oee_tabular import _checks, _printing, _progress
 from oee_tabular._results import checked
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
@@ -88,6 +88,13 @@ class Premises:
             raise ValueError(
                 "tie and features must not be given together: they are two different"
                 " models"
+            )
+        # before any work, and before the box is put in words
+        if self.lower_ratio is not None:
+            _checks.number_in(self.lower_ratio, "lower_ratio", 0.0, 1.0)
+        if self.upper_ratio is not None:
+            _checks.number_in(
+                self.upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True
             )
 
     @property

@@ -111,6 +111,13 @@ def test_names_of_logs_that_look_like_patterns(run, folder, name):
         ("--behavior mix:-1", "--behavior must be mix:WEIGHT"),
         ("--quick --box 0.5,2", "--quick must be left out with --box"),
         ("--quick --box 3,2", "--box must be LOWER,UPPER"),
+        ("--unrecorded 0.5", "--unrecorded must be in [1, inf]; it is 0.5"),
+        ("--unrecorded nan", "--unrecorded must be in [1, inf]; it is nan"),
+        ("--unrecorded 3x", "--unrecorded must be a number from 1 to inf; it is '3x'"),
+        ("--interval-seconds 0", "--interval-seconds must be a number of seconds"),
+        ("--interval-seconds inf", "--interval-seconds must be a number of seconds"),
+        ("--quick --unrecorded 2", "--quick must be left out with --unrecorded"),
+        ("--quick --interval-seconds 2", "--quick must be left out with --interval-s"),
         ("--quick --horizon 0 --estimators oee", "--horizon must be a positive"),
     ],
 )
@@ -126,6 +133,15 @@ def test_errors_name_the_option(run, folder, words, text):
             "compare --simulator sim.npz --log log.csv --policy uniform --policy"
             " optimal --quick --box 0.5,2",
             "--quick must be left out with --box",
+        ),
+        (
+            "compare --simulator sim.npz --log log.csv --policy uniform --policy"
+            " optimal --unrecorded 0",
+            "--unrecorded must be in [1, inf]; it is 0",
+        ),
+        (
+            "evaluate --simulator cartpole --log log.csv --unrecorded 2",
+            "--unrecorded must be left out for a continuous task",
         ),
         (
             "sample cartpole --episodes 1 --initial 0 --output s.npz",
