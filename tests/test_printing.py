@@ -100,8 +100,7 @@ def test_estimates_and_intervals_in_one_line():
     assert str(Estimate(2.0, status="too few")).endswith("not normalised; too few")
     found = oee.inference.Interval(1.0, 2.0, 0.9, "delta")
     assert (
-        str(found)
-        == "[1.0, 2.0], 90% delta interval; discounted sum of rewards, not"
+        str(found) == "[1.0, 2.0], 90% delta interval; discounted sum of rewards, not"
         " normalised"
     )
     lost = oee.inference.Interval(

@@ -10,10 +10,13 @@ s') + gamma V(s')).
 
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},
 
-where rows without data are anything that simulator or box allow, at the confidence
-asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an end.
-``Interval.sampling`` beside it takes rows without data as estimated. ``shared_ends``:
-the same where rows share parameters (a tie, features).
+at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an
+end. Rows without data are between Q / k and k Q around the estimated rows Q, k the
+factor ``unrecorded``. At k = 1 (``Interval.sampling``) they are as estimated, and the
+interval is the default's value -+ z standard errors; at k = inf
+(``Interval.worst_case``) they are anything that simulator or box allow. In between the
+ends of ``sampling`` are moved outwards as the set's ends are moved from 1 to k.
+``shared_ends``: the same where rows share parameters (a tie, features).
 
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows
 without data are the simulator's.
@@ -22,8 +25,9 @@ without data are the simulator's.
 for all x at once, at any sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V).
 ``value_range`` has the box alone, Assumption V.1.
 
-*Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and
-one rule, ``Comparison.decide``, for the ranking, P(best) and every sentence about it.
+*Comparison* (``comparison``): differences of the default's values, Cov(J_i, J_j) = f^2
+sum_x Cov_x(G_i, G_j) / max(n_x, 1) with a factor f of .8 to 1, and one rule,
+``Comparison.decide``, for the ranking, P(best) and every sentence about it.
 
 *What the simulator may lack* (``asymptotic``): the variance of a simulator that was
 made of samples, and to first order what transitions outside its support may change.
