@@ -11,6 +11,9 @@ from oee_tabular.inference.asymptotic import outside_margin
 from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp.empirical import Sampling
 
+# most logs here are a few transitions
+pytestmark = pytest.mark.filterwarnings("ignore:the log has no episodes")
+
 PI = np.full((4, 2), 0.5)
 START = [0.5, 0, 0, 0.5]
 SIMULATOR = oee.FiniteMDP(
