@@ -700,7 +700,7 @@ class FiniteMDP:
         >>> log = oee.Transitions(
         ...     [0, 0, 1], [0, 0, 0], [0, 1, 1], [0.0, 1.0, 0.0], terminated=[0, 0, 1]
         ... )
-        >>> mdp = oee.FiniteMDP.from_log(log, discount=0.9)
+        >>> mdp = oee.FiniteMDP.from_log(log, discount=0.9, initial=0)
         >>> mdp.transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
