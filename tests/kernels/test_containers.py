@@ -568,7 +568,7 @@ def test_repeated_values_are_one_where_they_agree():
         ):
             FiniteMDP(P_or_none, other, 0, 0.9)
     log = Transitions([0, 1], [0, 0], [1, 1])
-    assert FiniteMDP.from_log(log, R).rewards.tolist() == [[-1.0], [0.0]]
+    assert FiniteMDP.from_log(log, R, initial=0).rewards.tolist() == [[-1.0], [0.0]]
     zeta = sparse.coo_array(([1.0, 1.0, 1.0], at), shape=(2, 2))
     assert oee.exact.reweight(mdp, zeta).transitions.toarray().tolist() == [
         [0, 1],
