@@ -108,7 +108,10 @@ WARNINGS = {
     "a value beyond floats": (lambda folder: overflow(), NumericalWarning),
     "pairs never recorded": (
         lambda folder: oee.FiniteMDP.from_log(
-            oee.Transitions([0, 0, 1], [0, 1, 0], [1, 1, 0]), [0.0, 1.0], discount=0.5
+            oee.Transitions([0, 0, 1], [0, 1, 0], [1, 1, 0]),
+            [0.0, 1.0],
+            discount=0.5,
+            initial=0,
         ),
         SimulatorWarning,
     ),
