@@ -11,11 +11,12 @@ s') + gamma V(s')).
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},
 
 at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an
-end. Rows without data are between Q / k and k Q around the estimated rows Q, k the
-factor ``unrecorded``. At k = 1 (``Interval.sampling``) they are as estimated, and the
-interval is the default's value -+ z standard errors; at k = inf
-(``Interval.worst_case``) they are anything that simulator or box allow. In between the
-ends of ``sampling`` are moved outwards as the set's ends are moved from 1 to k.
+end. Rows without data are anything that simulator or box allow
+(``Interval.worst_case``). Where the policy reaches such rows, the quoted interval is
+the default's value -+ max(z se, z se_recorded + Delta_k): Delta_k is how far J moves in
+the worst and the best model whose unrecorded rows are between Q / k and k Q, Q = zeta P
+the estimated rows, and k the factor ``unrecorded``. At k = 1 (``Interval.sampling``)
+it is the value -+ z standard errors.
 ``shared_ends``: the same where rows share parameters (a tie, features).
 
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows

@@ -312,18 +312,19 @@ def interval(
 
     Notes
     -----
-    "likelihood" costs about a hundred linear solves. Where the policy reaches
-    unrecorded pairs it costs about three times as many, since the ends at the factor 1
-    and at ``inf`` are found as well. "robust" costs a few policy evaluations, each with
-    O(nnz) work in its rows.
-    "bootstrap" costs ``n_bootstrap`` policy evaluations.
+    "likelihood" costs about a hundred linear solves, all of them for ``worst_case``
+    where the policy reaches unrecorded pairs; the interval itself then costs a few
+    policy evaluations, as "robust" does. "bootstrap" costs ``n_bootstrap`` policy
+    evaluations.
 
-    A "likelihood" interval of a policy that reaches unrecorded pairs is, at a factor
-    between 1 and ``inf``, the one at 1 with its ends moved outwards: by as much as the
-    profile likelihood's ends move if the factor grows from 1 to this one, but not
-    beyond both ``sampling`` and ``worst_case``. So it holds the value, and a larger
-    factor below ``inf`` never gives a shorter interval. The ends at ``inf`` are around
-    the value by maximum likelihood, so one of them can lie inside.
+    A "likelihood" interval of a policy that reaches unrecorded pairs is, at a factor k
+    between 1 and ``inf``, the default's value -+ max(z se, z se_recorded + Delta_k).
+    Here se is its standard error, and se_recorded that of the recorded pairs alone.
+    Delta_k is by how much J(Q) falls (rises) in the worst (best) model whose unrecorded
+    pairs are within the factor k of the estimated rows Q = zeta P, by robust policy
+    evaluation, which is certified. So the interval holds the value, and a larger factor
+    below ``inf`` never gives a shorter one. The ends at ``inf`` are around the value by
+    maximum likelihood, so one of them can lie inside.
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
     far models in the set may lie beyond its ends, 0 at convergence.
