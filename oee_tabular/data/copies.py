@@ -27,6 +27,7 @@ from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Column
 
 N_WINDOW = 20  # rows that are compared at once; fewer may well be the same
+N_TOLD = 4  # rows of equal files from which on there is a warning
 MIN_BITS = 40.0  # a chance of 1e-12
 N_ROWS = 2**14  # at each end of a file, which are compared
 N_GROUPED_ROWS = 2**12  # of a file whose other rows are not read one by one
@@ -53,7 +54,7 @@ def refuse_same_bytes(files: Sequence[LogFile]) -> None:
             raise ArgumentError(
                 "path", f"must name each recording once; {words}{REMEDY}"
             )
-        if n_rows:
+        if n_rows >= N_TOLD:
             short.append(words)
     if short:
         more = f" ({len(short)} such files in all)" if len(short) > 1 else ""

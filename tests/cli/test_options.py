@@ -116,7 +116,7 @@ def test_names_of_logs_that_look_like_patterns(run, folder, name):
         ("--unrecorded 3x", "--unrecorded must be a number from 1 to inf; it is '3x'"),
         ("--interval-seconds 0", "--interval-seconds must be a number of seconds"),
         ("--interval-seconds inf", "--interval-seconds must be a number of seconds"),
-        ("--quick --unrecorded 2", "--quick must be left out with --unrecorded"),
+        ("--quick --unrecorded inf", "--quick must be left out with --unrecorded inf"),
         ("--quick --interval-seconds 2", "--quick must be left out with --interval-s"),
         ("--quick --horizon 0 --estimators oee", "--horizon must be a positive"),
     ],
