@@ -15,7 +15,9 @@ coverage of each kind).
 / k and k P, P = zeta P the fitted ones, and recorded rows are bound by their counts.
 *Fit, k*: the value, -+ 1.96 standard errors, widened on each side by how much worse (or
 better) J can be where unrecorded rows alone leave the fitted ones by at most the factor
-k. This is a robust evaluation, whose optimum is global.
+k. This is a robust evaluation, whose optimum is global. *squares*: the two parts are
+added as squares. *recorded*: what the factor allows replaces the standard error of the
+unrecorded rows, where it is more.
 """
 
 from __future__ import annotations
@@ -297,7 +299,7 @@ def compare_values(table: pd.DataFrame) -> pd.DataFrame:
         index=rows.index,
     )
     keys = [rows[name] for name in ("family", "policy", "size")]
-    cells = np.sqrt(squares.groupby(keys).mean())
+    cells = squares.groupby(keys).mean() ** 0.5
     reference = np.minimum(cells["maximum likelihood"], cells["simulator"])
     found = {}
     for over, divisor in (
@@ -305,14 +307,14 @@ def compare_values(table: pd.DataFrame) -> pd.DataFrame:
         ("reference", np.maximum(reference, LEAST_ERROR)),
     ):
         ratio = cells.div(divisor, axis=0)
-        found[over, "mean"] = np.exp(np.log(ratio).groupby("size").mean())
+        found[over, "mean"] = ratio.map(np.log).groupby("size").mean().map(np.exp)
         found[over, "worst"] = ratio.groupby("size").max()
     parts = [
         ratio.T.rename_axis(index="rule", columns=None).assign(over=over, what=what)
         for (over, what), ratio in found.items()
     ]
-    whole = pd.concat(parts).set_index(["over", "what"], append=True)
-    return whole.reorder_levels(["over", "what", "rule"])
+    whole: pd.DataFrame = pd.concat(parts).reset_index()
+    return whole.set_index(["over", "what", "rule"])
 
 
 def is_surely_below(covered: Any, least: float = LEAST_COVERAGE) -> bool:
@@ -419,12 +421,12 @@ def write(store: Store) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one half of the families, and write and print its tables."""
     parser = argparse.ArgumentParser(description="Value and interval, by half.")
-    parser.add_argument("half", choices=("tuned", "held"))
+    parser.add_argument("half", choices=("tuned", "held", "all"))
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=unrecorded.repetitions)
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
-    names = tuple(name for name, half in SPLIT.items() if half == given.half)
+    names = tuple(name for name, half in SPLIT.items() if given.half in (half, "all"))
     settings = RunSettings(
         unrecorded, {"family": names, "size": SIZES}, given.seeds, seed=0
     )
