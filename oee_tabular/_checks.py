@@ -505,18 +505,22 @@ def warn(text: str, category: type[Warning]) -> None:
     warnings.warn(text, category, stacklevel=level)
 
 
-def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
+def collection(
+    value: Any, name: str, rule: str, *, may_be_set: bool = False
+) -> tuple[Any, ...]:
     """Convert a collection to a tuple of its items.
 
     A text is none, and neither is what loses its order or its values on the way: a set,
-    a mapping. ``rule`` says in the error what the items must be.
+    a mapping. ``rule`` says in the error what the items must be. ``may_be_set``: where
+    nothing depends on the order.
     """
     if type(value) is tuple:
         return value
     try:
         if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
-        if type(value) is not list:
+        is_known = type(value) is list or (may_be_set and isinstance(value, Set))
+        if not is_known:
             _require_order(value, name, rule)
         if hasattr(value, "__array__") and type(value) is not np.ndarray:
             value = _plain(value, name)

@@ -116,7 +116,7 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             ) from None
         if words is None:
             return DEFAULT
-    words = _checks.collection(words, name, "a collection of words")
+    words = _checks.collection(words, name, "a collection of words", may_be_set=True)
     for word in words:
         near = []
         if isinstance(word, str):
