@@ -507,6 +507,7 @@ def own_values(known):
         "tandem": {"size": 3},
         "check_estimator": {"laws": ["limit"]},
         "league_of": {"table": known["holders"]["League"].table},
+        "as_code": {"value": known["holders"]["Case"].simulator},
         "Families": {"makers": {}, "seed": 0, "left_out": {}},
         "run": {
             "estimators": "model-based",
@@ -536,6 +537,8 @@ def own_values(known):
         "Case.with_rewards": {"scale": 2.0, "shift": 1.0},
         "Verdicts.__getitem__": {"operand": "limit"},
     }
+    names = known["holders"]["League"].table["estimator"].unique()
+    own["League.with_labels"] = {"labels": {str(names[0]): "ours"}}
     cells = known["holders"]["Discretization"]
     counts = cells.counts(moves)
     own |= {

@@ -156,25 +156,6 @@ def test_the_factor_of_unrecorded_pairs_is_python_s(run, folder, factor):
         assert said[factor] in " ".join(run(*words).split())
 
 
-def test_a_large_problem_s_report_stands_before_its_intervals(run, folder, monkeypatch):
-    words = f"evaluate {DATA} --policy uniform --interval-seconds 60"
-    plain = run(words)
-    assert "their ends are searched for next" not in plain
-    monkeypatch.setattr("oee_tabular.report.evaluation.MIN_LARGE_TRANSITIONS", 1)
-    first, later = run(words, "--output out").split("With the likelihood intervals:")
-    assert "their ends are searched for next" in first
-    assert plain.splitlines()[0] in later
-    kept = json.loads((folder / "out" / "report.json").read_text())
-    row = next(row for row in kept["results"] if row["estimator"] == "oee")
-    known = oee.interval(problem(), UNIFORM)
-    assert (row["lower"], row["upper"]) == (known.lower, known.upper)
-    json.loads(run(words, "--json"))  # one object
-    first, later = run(
-        f"compare {DATA} --policy uniform --policy optimal --interval-seconds 60"
-    ).split("P(best)", 2)[:2]
-    assert "no likelihood intervals" in later
-
-
 @pytest.mark.parametrize(
     "box", ["0.5", "a,b", "1,2,3", "nan,2", "2,0.5", "1.5,2", "-1,2", "0.2,0.7", "inf,"]
 )
