@@ -327,7 +327,7 @@ def results(values, problem, policies, target, simulator):
         oee.theory.simulation_lemma(target, simulator, policies["uniform"]),
         league,
         oee.theory.universal_constant_counterexample(1000),
-        oee.testing.case("ragged"),
+        oee.testing.case("exact"),
         oee.bench.families()["machine"],
         oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict}),
         oee.tasks.named_task("gridworld:3,slip=0.1"),
