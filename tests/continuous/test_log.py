@@ -136,7 +136,7 @@ FILES = {
     "no table": ("", "must have the columns state_0"),
     "words": (
         "state_0,action,next_state_0\nx,0,2\n",
-        r"state_0\[0\] must be finite; it is .x.",
+        r"state_0\[0\] must be a number; it is .x.",
     ),
 }
 
