@@ -404,7 +404,7 @@ evaluate(Problem(GRID, LOG, counts=0.5 * COUNTS), UNIFORM, guaranteed=True)  -> 
 evaluate(P, UNIFORM, quick=1)  ->  quick must be True or False; got 1
 evaluate(P, UNIFORM, quick=True, guaranteed=True)  ->  guaranteed must be False where quick is True
 evaluate(P, UNIFORM, quick=True, upper_ratio=2.0)  ->  quick must be False with lower_ratio or upper_ratio
-evaluate(P, UNIFORM, quick=True, unrecorded=2)  ->  quick must be False with unrecorded
+evaluate(P, UNIFORM, quick=True, unrecorded=np.inf)  ->  quick must be False with unrecorded=inf
 evaluate(P, UNIFORM, quick=True, interval_seconds=9)  ->  quick must be False with interval_seconds
 evaluate(P, UNIFORM, unrecorded=0.5)  ->  unrecorded must be in [1, inf]; it is 0.5
 evaluate(P, UNIFORM, interval_seconds=0)  ->  interval_seconds must be in (0, inf)

@@ -136,7 +136,7 @@ def test_factor_1_leaves_the_fit_and_no_factor_the_usual_interval():
     is_open = evidence.rows.spread(evidence.n) == 0
     assert_allclose(at_one.low[is_open], at_one.high[is_open])
     assert study.within_factor(evidence, fitted, np.inf) is evidence
-    usual = oee.interval(problem, family.policy)
+    usual = oee.interval(problem, family.policy, unrecorded=np.inf)
     ends = [end.value for end in likelihood_ends(evidence, 0.95)]
     assert_allclose(ends, [usual.lower, usual.upper])
 
