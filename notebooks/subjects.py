@@ -185,6 +185,7 @@ SUBJECTS = {
         "Beside an oracle": (
             "compare_with_oracle",
             "OracleComparison",
+            "as_code",
             "case",
             "Case",
             "CASES",

@@ -322,8 +322,9 @@ def interval(
     Here se is its standard error, and se_recorded that of the recorded pairs alone.
     Delta_k is by how much J(Q) falls (rises) in the worst (best) model whose unrecorded
     pairs are within the factor k of the estimated rows Q = zeta P, by robust policy
-    evaluation, which is certified. So the interval holds the value, and a larger factor
-    below ``inf`` never gives a shorter one. The ends at ``inf`` are around the value by
+    evaluation, which is certified. No end goes beyond both ``sampling`` and
+    ``worst_case``. So the interval holds the value, and a larger factor below ``inf``
+    never gives a shorter one. The ends at ``inf`` are around the value by
     maximum likelihood, so one of them can lie inside.
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
@@ -558,8 +559,9 @@ def _likelihood_interval(
     se_recorded the standard error of the recorded pairs alone, and Delta_k by how much
     J falls below (rises above) J(Q) in the worst (best) model whose unrecorded pairs
     are within the factor k of the estimated rows Q = zeta P, and whose recorded pairs
-    are Q's: a robust evaluation, whose optimum is global and certified. So the value is
-    inside, and a larger finite factor never gives a shorter interval. The default's
+    are Q's: a robust evaluation, whose optimum is global and certified. They do not go
+    beyond both ``sampling`` and ``worst_case``. So the value is inside, and a larger
+    finite factor never gives a shorter interval. The default's
     value is a better centre than maximum likelihood's where pairs have few transitions.
     """
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
@@ -582,9 +584,12 @@ def _likelihood_interval(
     if has_gaps and factor < np.inf and estimate is not None and sampling is not None:
         is_searched = False
         quoted = _widen_by_factor(evidence, estimate, estimated, factor, z)
-        if evidence.has_box and worst is not None:
-            low, high = np.clip(quoted, *worst).tolist()
-            quoted = low, high
+        if worst is not None and all(end.is_final for end in ends):
+            # no further than what both ends of the factor allow
+            quoted = (
+                max(quoted[0], min(sampling[0], worst[0])),
+                min(quoted[1], max(sampling[1], worst[1])),
+            )
     elif worst is None:
         is_searched = False
         quoted = sampling
