@@ -307,6 +307,7 @@ def test_a_shrunk_counterexample_is_printed_as_code_that_breaks_the_law():
         derandomize=True,
         database=None,
         deadline=None,
+        print_blob=False,
         phases=[Phase.generate, Phase.shrink],
     )
     @given(st.data())
