@@ -489,9 +489,18 @@ def _is_data_file(path: Path) -> bool:
 def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
     """Return the labels and texts that folders name, as Hive writes them."""
     steps = (step.partition("=") for step in path.parts[:-1])
-    return tuple(
-        (unquote(label), unquote(text)) for label, equals, text in steps if equals
-    )
+    try:
+        return tuple(
+            (unquote(label, errors="strict"), unquote(text, errors="strict"))
+            for label, equals, text in steps
+            if equals
+        )
+    except UnicodeDecodeError:
+        # in other letters, two values would be read as one
+        raise ArgumentError(
+            f"{str(path)!r}",
+            "must have folders whose %XX are UTF-8 (rename them)",
+        ) from None
 
 
 def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:

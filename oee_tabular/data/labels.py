@@ -24,7 +24,7 @@ from oee_tabular.data.aliases import (
     find_field,
     stem,
 )
-from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, is_missing, plain
+from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, is_absent, plain
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import is_number_text
 from oee_tabular.typing import Column
@@ -85,7 +85,7 @@ class Matching(NamedTuple):
 def join_parts(columns: Sequence[list[Any]]) -> Column:
     """Return the tuples of several columns' values, None where one is missing."""
     rows = zip(*columns, strict=True)
-    return as_objects([None if any(map(is_missing, row)) else row for row in rows])
+    return as_objects([None if any(map(is_absent, row)) else row for row in rows])
 
 
 def _as_parts(column: Column) -> list[Any]:

@@ -173,3 +173,22 @@ def test_a_folder_of_other_formats_alone(tmp_path):
             read(tmp_path)
     with pytest.raises(ValueError, match=r"pandas\.read_csv\(path, sep='\\t'\)"):
         oee.Transitions.load(tmp_path / "a.tsv")
+
+
+@pytest.mark.parametrize("step", ["action=caf%E9", "%FF=3", "state=a%C3"])
+def test_folders_whose_letters_are_not_utf_8_are_refused(step, tmp_path):
+    """Two of them would be read as one value."""
+    folder = tmp_path / "log" / step
+    folder.mkdir(parents=True)
+    (folder / "a.csv").write_text("state,action,next_state\n0,0,1\n")
+    with pytest.raises(ValueError, match="must have folders whose %XX are UTF-8"):
+        oee.Transitions.load(tmp_path / "log")
+
+
+@pytest.mark.parametrize("word", ["NA", "nan", "NULL", " n/a "])
+def test_a_missing_part_of_a_tuple_is_no_name(word, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(f"x,y,u,x2,y2\n0,{word},5,0,1\n0,1,5,0,1\n")
+    columns = {"state": ["x", "y"], "action": "u", "next_state": ["x2", "y2"]}
+    with pytest.raises(ValueError, match=r"state\[0\] must have a value"):
+        oee.Transitions.load(path, columns=columns)
