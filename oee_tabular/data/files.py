@@ -351,10 +351,30 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
         raise ArgumentError(
             "path", f"must name each file once; {again[0]!r} is named twice"
         )
+    _refuse_links_to_one_file(some)
     if warns:
         for one in given:
             _warn_of_folder(Path(_files.local(one)), some)
     return some
+
+
+def _refuse_links_to_one_file(files: Sequence[LogFile]) -> None:
+    """Raise an ArgumentError where two paths lead to one file, which would count twice.
+
+    They are other spellings of its path, links, and folders that a link leads back to.
+    """
+    known: dict[tuple[int, int], str] = {}
+    for file in files if len(files) > 1 else ():
+        try:
+            found = os.stat(file.path)
+        except OSError:
+            continue  # an error where it is read
+        first = known.setdefault((found.st_dev, found.st_ino), file.path)
+        if first != file.path:
+            raise ArgumentError(
+                "path",
+                f"must name each file once; {file.path!r} is the file {first!r} again",
+            )
 
 
 def _warn_of_folder(place: Path, files: Sequence[LogFile]) -> None:
@@ -432,6 +452,15 @@ def _files_at(name: str) -> list[LogFile]:
     paths = sorted(map(Path, glob.glob(name, recursive=True)), key=_order)
     # a link that leads nowhere, or a pipe, is an error where it is read
     matching = [path for path in paths if not path.is_dir()]
+    if matching and "**" not in name:
+        for folder in set(paths) - set(matching):
+            if any(_is_data_file(way.relative_to(folder)) for way in folder.rglob("*")):
+                raise ArgumentError(
+                    "path",
+                    f"must match files or folders, not both; {name!r} matches the file"
+                    f" {str(matching[0])!r} and the folder {str(folder)!r}, which holds"
+                    " files of a log as well (give both as a list)",
+                )
     if matching:
         return [LogFile(str(file), _parse_folders(file)) for file in matching]
     inside = [file for path in paths for file in _files_in(path, path, name)]

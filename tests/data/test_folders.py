@@ -192,3 +192,44 @@ def test_a_missing_part_of_a_tuple_is_no_name(word, tmp_path):
     columns = {"state": ["x", "y"], "action": "u", "next_state": ["x2", "y2"]}
     with pytest.raises(ValueError, match=r"state\[0\] must have a value"):
         oee.Transitions.load(path, columns=columns)
+
+
+def write_rows(path, *rows):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["state,action,next_state", *rows, ""]))
+
+
+@pytest.mark.parametrize("kind", ["spelling", "absolute", "link", "hard link", "loop"])
+def test_one_file_under_two_paths_is_refused(kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_rows(tmp_path / "l" / "a.csv", "0,0,1", "1,0,0")
+    path = ["l/a.csv", "l/../l/a.csv"]
+    if kind == "absolute":
+        path = ["l/a.csv", str(tmp_path / "l" / "a.csv")]
+    elif kind == "link":
+        (tmp_path / "l" / "b.csv").symlink_to("a.csv")
+        path = "l"
+    elif kind == "hard link":
+        (tmp_path / "l" / "b.csv").hardlink_to(tmp_path / "l" / "a.csv")
+        path = "l"
+    elif kind == "loop":
+        (tmp_path / "l" / "loop").symlink_to("../l")
+        path = "l/**/*.csv"
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(
+            ValueError, match=r"^path must name each file once; '.*again"
+        ):
+            read(path)
+
+
+def test_a_pattern_of_files_and_folders_is_refused(tmp_path):
+    write_rows(tmp_path / "day1.csv", "0,0,1")
+    write_rows(tmp_path / "day2" / "a.csv", "1,0,2", "2,0,0")
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(
+            ValueError, match=r"^path must match files or folders, not bo"
+        ):
+            read(str(tmp_path / "day*"))
+    (tmp_path / "day3").mkdir()  # holds no log
+    (tmp_path / "day3" / "plot.png").touch()
+    assert len(oee.Transitions.load(str(tmp_path / "day[13]*"))) == 1
