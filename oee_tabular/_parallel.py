@@ -168,6 +168,7 @@ def backend(jobs: int, dask: str | None) -> Iterator[Any]:
 
 def _connect(address: str) -> Any:
     """Connect to a dask scheduler."""
+    _checks.instance(address, str, "dask", "text, a scheduler's address")
     try:
         from distributed import Client
     except ImportError as error:

@@ -49,7 +49,7 @@ def read_policy_table(path: str, mdp: FiniteMDP) -> dict[Any, Any]:
     """Read a policy by state from a CSV file, as ``check_policy`` takes it."""
     name = repr(path)
     require_commas(path)
-    frame = drop_index(csv_frame(path))
+    frame = drop_index(csv_frame(path, has_flags=False))
     columns = _find_columns(frame, mdp, name)
     if columns is None or frame.empty:
         raise ArgumentError(
@@ -57,10 +57,22 @@ def read_policy_table(path: str, mdp: FiniteMDP) -> dict[Any, Any]:
             f"{RULE}; it has {show_labels(list(frame.columns))} and {len(frame)}"
             f" rows{_suggest(frame, mdp)}",
         )
+    for label in (columns.state, columns.action):
+        if label is not None:
+            frame[label] = _to_names(frame[label], name)
     keys = ["state"]
     if columns.action is None:
+        actions = [_to_action(label) for label in columns.actions]
+        for label, action in zip(columns.actions, actions, strict=True):
+            first = columns.actions[actions.index(action)]
+            if first != label:
+                raise ArgumentError(
+                    name,
+                    f"must have one column for each action; {_checks.show(first)} and"
+                    f" {_checks.show(label)} are both action {action}",
+                )
         wide = frame[[columns.state, *columns.actions]]
-        wide = wide.set_axis(["state", *map(_to_action, columns.actions)], axis=1)
+        wide = wide.set_axis(["state", *actions], axis=1)
         _require_once(wide, keys, name)
         table = wide.melt("state", var_name="action", value_name="probability")
         # an empty field of a table with a column for each action is no probability
@@ -221,6 +233,20 @@ def _require_once(table: Any, keys: list[str], name: str) -> None:
         raise ArgumentError(
             name, f"must have one row for each {' and '.join(keys)}; {place} has two"
         )
+
+
+def _to_names(column: Any, name: str) -> Any:
+    """Return states or actions, as a log's table has them: 1.0 is the integer 1."""
+    lacking = np.flatnonzero(column.isna())
+    if lacking.size:
+        raise ArgumentError(
+            name,
+            f"must have a value in each row; {column.name}[{lacking[0]}] has none"
+            f" ({lacking.size} such rows in all)",
+        )
+    if column.dtype.kind == "f" and (column % 1 == 0).all():
+        return column.astype("int64")
+    return column
 
 
 def _to_numbers(column: Any, name: str) -> Any:

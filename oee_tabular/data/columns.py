@@ -26,7 +26,7 @@ from oee_tabular.data.rules import (
     find_order_faults,
     find_repeat,
 )
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -261,7 +261,8 @@ class LogColumns:
         -------
         Transitions
             The joined log. Episodes are numbered on; a column that one of the logs
-            lacks is dropped, but rewards that one of them lacks are missing there, nan.
+            lacks is left out with a warning, but rewards that one of them lacks are
+            missing there, nan.
 
         Raises
         ------
@@ -292,6 +293,14 @@ class LogColumns:
             for name in columns[0]
             if all(name in part for part in columns)
         }
+        left_out = [name for part in columns for name in part if name not in joined]
+        if left_out:
+            k = next(k for k, part in enumerate(columns) if left_out[0] not in part)
+            names = ", ".join(dict.fromkeys(left_out))
+            _checks.warn(
+                f"left out of the joined log: {names}, which logs[{k}] lacks",
+                DataWarning,
+            )
         if "episode" in joined:
             joined["episode"] = _number_on(joined["episode"])
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})

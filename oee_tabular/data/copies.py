@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.rules import KEY, MOVE
-from oee_tabular.data.tables import LogFile, count_parquet_rows, open_csv
+from oee_tabular.data.tables import LogFile, open_csv, read_parquet_header
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Column
 
@@ -102,7 +102,7 @@ def _group(paths: Iterable[str], n_blocks: int) -> list[list[str]]:
 def _count_rows(path: str) -> int:
     """Return about how many rows a file has."""
     if path.lower().endswith(".parquet"):
-        return count_parquet_rows(path)
+        return read_parquet_header(path).n_rows
     if path.lower().endswith(".npz"):
         arrays = _files.read_npz(path)
         return max((len(array) for array in arrays.values() if array.ndim), default=0)

@@ -43,7 +43,6 @@ from oee_tabular.data.tables import (
     Piece,
     Table,
     add_folders,
-    count_parquet_rows,
     match_own,
     open_table,
     write_parquet,
@@ -311,8 +310,8 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
 
     Raises a ValueError for a line that has another number of fields than its header.
     """
-    if file.suffix == ".parquet":
-        n_values = count_parquet_rows(file.path) * len(table.known)
+    if table.n_rows is not None:
+        n_values = table.n_rows * len(table.known)
         _checks.require_memory(n_values, repr(file.path))
     pieces = list(table.pieces)
     for piece in pieces:
@@ -449,7 +448,12 @@ def _files_at(name: str) -> list[LogFile]:
         return _files_in(place, Path(), name)
     if place.exists() or not glob.has_magic(name):
         return [LogFile(name)]
-    paths = sorted(map(Path, glob.glob(name, recursive=True)), key=_order)
+    names = glob.glob(name, recursive=True)
+    if not names and place.parent.is_dir():
+        # of p[1]/*.csv, the folder that is called so
+        pattern = os.path.join(glob.escape(str(place.parent)), place.name)
+        names = glob.glob(pattern, recursive=True)
+    paths = sorted(map(Path, names), key=_order)
     # a link that leads nowhere, or a pipe, is an error where it is read
     matching = [path for path in paths if not path.is_dir()]
     if matching and "**" not in name:
@@ -519,17 +523,27 @@ def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
     """Return the labels and texts that folders name, as Hive writes them."""
     steps = (step.partition("=") for step in path.parts[:-1])
     try:
-        return tuple(
+        found = [
             (unquote(label, errors="strict"), unquote(text, errors="strict"))
             for label, equals, text in steps
             if equals
-        )
+        ]
     except UnicodeDecodeError:
         # in other letters, two values would be read as one
         raise ArgumentError(
             f"{str(path)!r}",
             "must have folders whose %XX are UTF-8 (rename them)",
         ) from None
+    texts: dict[str, str] = {}
+    for label, text in found:
+        if texts.setdefault(label, text) != text:
+            raise ArgumentError(
+                f"{str(path)!r}",
+                f"must have folders that say one thing of each column; {label!r} is"
+                f" {texts[label]!r} and {text!r} (rename one of them, or give the file"
+                " itself)",
+            )
+    return tuple(found)
 
 
 def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:

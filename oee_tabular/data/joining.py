@@ -113,6 +113,45 @@ def warn_of(notes: Sequence[str]) -> None:
     )
 
 
+class SameColumns:
+    """Refuse files that have other columns of a log than the first.
+
+    Rewards may be missing in some.
+    """
+
+    OF_ORDER = frozenset({"timestep", "truncated"})
+
+    def __init__(self) -> None:
+        self.path = ""
+        self.known: frozenset[str] | None = None
+        self.is_derived = False
+
+    def add(self, path: str, known: Iterable[str], *, is_derived: bool = False) -> None:
+        """Raise an ArgumentError where the file of this path has other columns.
+
+        ``is_derived``: whether its timesteps and truncations may follow from the order
+        of its rows, and are nothing that another file lacks.
+        """
+        own = frozenset(known)
+        if self.known is None:
+            self.path, self.known, self.is_derived = path, own, is_derived
+        free = {"reward"}
+        if is_derived or self.is_derived:
+            free |= self.OF_ORDER
+        differ = sorted((self.known ^ own) - free)
+        if not differ:
+            return
+        has, lacks = self.path, path
+        if differ[0] in own:
+            has, lacks = path, self.path
+        raise ArgumentError(
+            "all files",
+            f"must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does"
+            f" not (to read them without it: columns={{{differ[0]!r}: None}}, --column"
+            f" {differ[0]}=)",
+        )
+
+
 class Folders:
     """Remember in which folders ``column=value`` the episodes of a log stand.
 
@@ -194,8 +233,10 @@ def join_logs(
     """Return the log of the columns of several files, in their order.
 
     ``cls`` is the class of the log. ``warn_of_empty_files`` is told which have no rows,
-    and the number of all. ``columns_of``: what the files call a log's columns. Files without rows are passed over, where others
-    have some.
+    and the number of all. ``columns_of``: what the files call a log's columns. Files
+    without rows are passed over, where others have some.
+
+    Raises an ArgumentError where files have other columns than the first.
     """
     logs: list[Any] = []
     is_one: list[bool] = []
@@ -204,6 +245,7 @@ def join_logs(
     folders = Folders()
     namesakes = Namesakes(found)
     overlaps = Overlaps()
+    same_columns = SameColumns()
     named = {
         label: field for field, label in columns_of.items() if isinstance(label, str)
     }
@@ -216,6 +258,7 @@ def join_logs(
         if not n and len(found) > 1 and (logs or file is not found[-1]):
             empty.append(file.path)
             continue
+        same_columns.add(file.path, columns, is_derived=file.suffix == ".npz")
         if len(found) > 1:
             namesakes.add(file.path, columns)
             overlaps.add(file.path, print_of(columns))
@@ -256,9 +299,29 @@ def join_logs(
     warn_of_empty_files(empty, len(found))
     if len(logs) == 1:
         return logs[0]
+    paths = [file.path for file in found if file.path not in empty]
+    _require_one_kind(paths, logs)
     if not any(is_one):
         return cls.concatenate(logs)
     return _join(cls, logs, is_one)
+
+
+def _require_one_kind(paths: Sequence[str], logs: Sequence[Any]) -> None:
+    """Raise an ArgumentError where some files have names and others have numbers."""
+    for label in ("state", "action"):
+        names = [getattr(log, f"{label}_names", None) for log in logs]
+        is_named = [some is not None for some in names]
+        if all(is_named) or not any(is_named):
+            continue
+        of_names = is_named.index(True)
+        of_numbers = is_named.index(False)
+        name = (names[of_names] or ("",))[0]
+        raise ArgumentError(
+            "all files",
+            f"must have names as {label}, or numbers; {paths[of_names]!r} has"
+            f" {_checks.show(name)}, and {paths[of_numbers]!r} has"
+            f" {getattr(logs[of_numbers], label)[0]} (rename them in one of the two)",
+        )
 
 
 def _differs(cls: Any) -> Callable[[Any, Any], Any]:

@@ -360,12 +360,21 @@ def _refuse_mixture(
     others = [label for label in left if find_field(label, False) in MOVE[::2]]
     if len(is_observed) > 1 and others and all(len(group) == 1 for group in groups):
         state, following = (group[0] for group in groups)
+        shown = (
+            f"'state': {_checks.show(state)}, 'next_state': {_checks.show(following)}"
+        )
+        option = ""
+        if isinstance(state, str) and isinstance(following, str):
+            words = (f"state={state:.80}", f"next_state={following:.80}")
+            option = "".join(
+                f", --column {_checks.escape_controls(shlex.quote(word))}"
+                for word in words
+            )
         raise ArgumentError(
             name,
             f"must have a state and a next state of one kind; they are"
             f" {_checks.show(state)} and {_checks.show(following)}, beside"
-            f" {_checks.show(others[0])} (say which: {show_way('state', state)};"
-            f" {show_way('next_state', following)})",
+            f" {_checks.show(others[0])} (name both: columns={{{shown}}}{option})",
         )
 
 

@@ -39,7 +39,14 @@ from oee_tabular.data.files import (
     warn_of_empty_files,
 )
 from oee_tabular.data.frames import is_frame
-from oee_tabular.data.joining import TIMESTEP, Folders, Row, judge, warn_of
+from oee_tabular.data.joining import (
+    TIMESTEP,
+    Folders,
+    Row,
+    SameColumns,
+    judge,
+    warn_of,
+)
 from oee_tabular.data.labels import (
     ColumnsLike,
     check_columns,
@@ -179,7 +186,8 @@ def _add_files(
     sums: list[dict[str, Column]] = []
     recording = Recording(by_episodes=False)
     episodes = _Episodes(limits)
-    columns: dict[str, frozenset[str]] = {}
+    reported: set[object] = set()
+    same_columns = SameColumns()
     folders = Folders()
     namesakes = Namesakes(files)
     overlaps = Overlaps()
@@ -187,11 +195,13 @@ def _add_files(
     n_ended = 0
     empty: list[str] = []
     for file, counts in zip(files, counted, strict=True):
-        if not columns:
-            warn_read_as(repr(file.path), counts.matching.renamed)
-            warn_left_out(file.path, counts.matching.left_out)
-        columns[file.path] = counts.known
-        _check_same_columns(columns, file.path)
+        renamed = [pair for pair in counts.matching.renamed if pair not in reported]
+        left = [label for label in counts.matching.left_out if label not in reported]
+        reported.update(renamed, left)
+        warn_read_as(repr(file.path), renamed)
+        warn_left_out(file.path, left)
+        if counts.sums is not None or counts.recording.dropped:
+            same_columns.add(file.path, counts.known)
         folders.add(file, counts.known, counts.episodes, counts.matching.fields())
         overlaps.add(file.path, counts.ends_print)
         if counts.sums is None and not counts.recording.dropped:
@@ -215,7 +225,22 @@ def _add_files(
     recording = episodes.correct(recording)
     if n_ended:
         _warn_of_ends(n_ended, limits)
-    return _to_counts(join_sums(sums), recording, episodes.sample, dropped)
+    whole = join_sums(sums)
+    _require_finite_sums(whole)
+    return _to_counts(whole, recording, episodes.sample, dropped)
+
+
+def _require_finite_sums(sums: Mapping[str, Column]) -> None:
+    """Raise an ArgumentError where rewards add up to more than a float holds."""
+    over = np.flatnonzero(~np.isfinite(sums["reward_sum"].astype(float)))
+    if over.size:
+        k = over[0]
+        raise ArgumentError(
+            "path",
+            "must have rewards whose sums are floats; those of state"
+            f" {sums['state'][k]}, action {sums['action'][k]} add up to"
+            f" {sums['reward_sum'][k]} (give them in a larger unit)",
+        )
 
 
 def _warn_of_ends(number: int, limits: Limits) -> None:
@@ -245,6 +270,7 @@ class _Episodes:
         self.n_truncated = 0  # the cuts between joined parts, which are counted as ends
         self.n_broken = 0  # joined episodes that are broken in both parts
         self.last: Row | None = None
+        self.knows_truncated = False  # the file of the last row
         self.open: Run | None = None
 
     def add(self, counts: FileCounts) -> Recording:
@@ -276,7 +302,7 @@ class _Episodes:
             head = head._replace(is_broken=True)
         if verdict.is_one and self.open is not None:
             self.n_joined += 1
-            self.n_truncated += "truncated" not in counts.known
+            self.n_truncated += not self.knows_truncated
             self.n_broken += self.open.is_broken and head.is_broken
             self.open = self.open.join(head, self.limits.kept)
         else:
@@ -288,6 +314,7 @@ class _Episodes:
             self.open = ends.tail
         self._join(counts.sample)
         self.last = ends.last
+        self.knows_truncated = "truncated" in counts.known
         return recording
 
     def end(self) -> None:
@@ -311,22 +338,6 @@ class _Episodes:
             longest=max(self.lengths),
             truncated=recording.truncated - self.n_truncated,
             broken=recording.broken - self.n_broken,
-        )
-
-
-def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
-    """Raise a ValueError where a file has other columns of a log than the first.
-
-    Rewards alone may be missing in some files.
-    """
-    first = next(iter(columns))
-    differ = sorted((columns[first] ^ columns[path]) - {"reward"})
-    if differ:
-        has, lacks = (first, path) if differ[0] in columns[first] else (path, first)
-        raise ArgumentError(
-            "all files",
-            f"must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does"
-            " not",
         )
 
 

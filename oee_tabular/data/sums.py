@@ -90,9 +90,10 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
     sums = np.zeros((len(COUNTED), len(different)))
     sums[2:4] = np.nan
     operations = (np.add, np.add, np.fmin, np.fmax, np.add)
-    for total, operation, column in zip(sums, operations, rows, strict=True):
-        if column is not None:
-            operation.at(total, entry, column)
+    with np.errstate(over="ignore"):  # which counts refuse
+        for total, operation, column in zip(sums, operations, rows, strict=True):
+            if column is not None:
+                operation.at(total, entry, column)
     values = [*(part[row] for part in key), *sums]
     return dict(zip((*KEY, *COUNTED), values, strict=True))
 

@@ -13,6 +13,7 @@ values are those of a log.
 
 from __future__ import annotations
 
+import base64
 import csv
 import errno
 import gzip
@@ -21,6 +22,7 @@ import io
 import itertools
 import os
 import re
+import struct
 import unicodedata
 import warnings
 import zlib
@@ -33,6 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks, _files
+from oee_tabular.data.aliases import find_field
 from oee_tabular.data.labels import Matching
 from oee_tabular.data.rules import (
     HEADER_RULE,
@@ -58,9 +61,8 @@ N_CSV_ROWS = 2**17
 MAX_SMALL_BYTES = 2**21
 MAX_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 MAX_LINE_CHARACTERS = 2**24  # of a CSV file, which is read no further
-BLOCK_BYTES = (
-    2**18
-)  # which processors keep near; of 2**20 the reading takes 1.2 times as long
+# which processors keep near; of 2**20 the reading takes 1.2 times as long
+BLOCK_BYTES = 2**18
 MAX_LINES_ABOVE = 5  # above a header, that are looked at where there is none
 WINDOW_BYTES = 2**16  # half of csv's longest field
 # bytes that tell nothing of the number of fields
@@ -111,7 +113,7 @@ class Table:
 
     ``known`` are a log's columns, which ``matching`` finds among the labels.
     ``find_text`` returns a field, by a log's column and the number of its row, as the
-    file writes it, or None.
+    file writes it, or None. ``n_rows``: their number, where the file says it.
     """
 
     labels: list[str]
@@ -119,6 +121,7 @@ class Table:
     pieces: Iterable[Piece]
     matching: Matching
     find_text: Callable[[str, int], Any] = no_text
+    n_rows: int | None = None
 
 
 def open_table(file: LogFile, form: Any) -> Table:
@@ -130,7 +133,8 @@ def open_table(file: LogFile, form: Any) -> Table:
     is_parquet = file.suffix == ".parquet"
     if is_parquet:
         check_digest(file.path)
-    labels = read_labels(file.path)
+    header = read_parquet_header(file.path) if is_parquet else None
+    labels = _plain_labels(header.stored) if header else read_labels(file.path)
     if not is_parquet and len(labels) > MAX_COLUMNS:
         raise ArgumentError(
             f"{file.path!r}",
@@ -152,14 +156,33 @@ def open_table(file: LogFile, form: Any) -> Table:
     # a folder that is no column of a log is none of its file's
     left = tuple(label for label in matching.left_out if label in labels)
     matching = matching._replace(left_out=left)
-    read = _read_parquet if is_parquet else _read_csv
     renamed = matching.rename(labels)
     to_read = matching.to_read()
+    if header is not None:
+        if any("" in group for group in matching.taken.values()):
+            raise ArgumentError(
+                f"{file.path!r}",
+                "must have a name for each column that is read; it has one whose name"
+                " is empty (rename it)",
+            )
+        for label in _plain_labels(header.durations):
+            if label in labels and renamed[labels.index(label)] in to_read:
+                raise ArgumentError(
+                    f"{file.path!r}",
+                    f"must hold numbers or names; {_checks.show(label)} holds durations"
+                    " (write seconds: frame[label].dt.total_seconds(); or their"
+                    " numbers: .astype('int64'))",
+                )
     own = [label for label in to_read if label in renamed]
 
     def pieces() -> Iterator[Piece]:
         """Yield the pieces of the file with the columns that its folders name."""
-        for piece in read(file.path, renamed, own):
+        parts = (
+            _read_csv(file.path, renamed, own)
+            if header is None
+            else _read_parquet(file.path, header, renamed, own)
+        )
+        for piece in parts:
             found = _lose_headers(file.path, piece, labels)
             found = add_folders(file, matching, found)
             yield found._replace(columns=matching.join(found.columns))
@@ -172,7 +195,8 @@ def open_table(file: LogFile, form: Any) -> Table:
         k = renamed.index(label)
         return fields[k] if k < len(fields) else None
 
-    return Table(labels, list(matching.taken), pieces(), matching, find_text)
+    n_rows = header.n_rows if header else None
+    return Table(labels, list(matching.taken), pieces(), matching, find_text, n_rows)
 
 
 def _find_header(file: LogFile, form: Any, folders: list[str]) -> int | None:
@@ -198,26 +222,31 @@ def match_own(file: LogFile, labels: Iterable[str]) -> Matching:
 def add_folders(file: LogFile, matching: Matching, piece: Piece) -> Piece:
     """Return a piece with the columns that the folders of its file name.
 
-    Raises an ArgumentError where the file's own column of that name says otherwise.
+    Raises an ArgumentError where the file's own column of that name says otherwise, or
+    another folder.
     """
-    columns = {}
+    columns: dict[str, Column] = {}
     to_read = matching.to_read()
     for name, text in file.fixed:
         (label,) = matching.rename([name])
         if label not in to_read:
-            continue
+            # another label of a column that is read is no second opinion either
+            label = name if name in KINDS else find_field(name, has_vectors=False) or ""
+            if label not in to_read:
+                continue
         value = _parse_folder(label, text)
-        if label not in piece.columns:
+        known = piece.columns.get(label, columns.get(label))
+        if known is None:
             columns[label] = np.full(len(piece.rows), value)
             if isinstance(value, str | None):
                 columns[label] = as_objects([value] * len(piece.rows))
             continue
-        row = _find_other(label, piece.columns[label], text)
+        row = _find_other(label, known, text)
         if row is not None:
             raise ArgumentError(
                 f"{file.path!r}: {label}[{piece.rows[row]}]",
                 f"must be what the folder '{name}={text}' says; it is"
-                f" {_checks.show(piece.columns[label][row])} (rename the folder, or"
+                f" {_checks.show(to_plain(known[row]))} (rename the folder, or"
                 " give the file itself)",
             )
     return piece._replace(columns=columns | piece.columns)
@@ -276,7 +305,7 @@ def _lose_headers(path: str, piece: Piece, labels: list[str]) -> Piece:
 def read_labels(path: str) -> list[str]:
     """Return the labels of a table's columns; ArgumentError for another file."""
     if path.lower().endswith(".parquet"):
-        return _plain_labels(_parquet_labels(path))
+        return _plain_labels(read_parquet_header(path).stored)
     return _csv_header(_files.local(path))[0]
 
 
@@ -330,26 +359,84 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
         ) from None
 
 
-def _parquet_labels(path: str) -> list[str]:
-    """Return the names of the columns as they stand, without those inside of others.
+class ParquetHeader(NamedTuple):
+    """Hold what a parquet file says of itself.
+
+    ``stored``: the names of its columns as they stand. ``durations``: those that
+    Arrow's schema calls so, where parquet has integers without their unit.
+    """
+
+    stored: list[str]
+    durations: list[str]
+    n_rows: int
+
+
+def read_parquet_header(path: str) -> ParquetHeader:
+    """Return the header of a parquet file, of the columns that stand in no other.
 
     parquet lists a tree in depth-first order.
     """
     with open_duckdb(path) as run:
         schema = run("SELECT name, num_children FROM parquet_schema($path)").fetchall()
+        arrow = run(
+            "SELECT value FROM parquet_kv_metadata($path)"
+            " WHERE key = 'ARROW:schema'::BLOB LIMIT 1"
+        ).fetchone()
+        n_rows = int(run(f"SELECT count(*) FROM {PARQUET}").fetchone()[0])
     labels = []
     n_inside = 0
     for name, children in schema[1:]:
         if n_inside == 0:
             labels.append(name)
         n_inside += (children or 0) - (n_inside > 0)
-    return labels
+    durations: list[str] = []
+    if arrow is not None:
+        # of another form it may be another program's
+        with suppress(ValueError, IndexError, struct.error):
+            durations = _durations_of(base64.b64decode(bytes(arrow[0])))
+    return ParquetHeader(labels, durations, n_rows)
 
 
-def count_parquet_rows(path: str) -> int:
-    """Return the number of rows of a parquet file."""
-    with open_duckdb(path) as run:
-        return int(run(f"SELECT count(*) FROM {PARQUET}").fetchone()[0])
+# where fields stand in the tables of Arrow's Message.fbs and Schema.fbs: the first at
+# 4, the next one at 6, and so on
+_MESSAGE_HEADER, _SCHEMA_FIELDS, _FIELD_NAME, _FIELD_TYPE = 8, 6, 4, 8
+_DURATION = 18  # among the types of Schema.fbs
+
+
+def _durations_of(message: bytes) -> list[str]:
+    """Return the names of the durations in an Arrow schema [1], a flatbuffer [2].
+
+    [1] Apache Arrow, columnar format, 1.4. [2] FlatBuffers, binary format.
+    """
+
+    def at(kind: str, place: int) -> int:
+        """Return the number at a place of the message."""
+        return int(struct.unpack_from(f"<{kind}", message, place)[0])
+
+    def field(table: int, number: int) -> int:
+        """Return where a field of a table stands, 0 where it has its default."""
+        offsets = table - at("i", table)
+        is_there = number < at("H", offsets)
+        shift = at("H", offsets + number) if is_there else 0
+        return table + shift if shift else 0
+
+    def follow(place: int) -> int:
+        """Return the place that the offset at a place leads to."""
+        return place + at("I", place)
+
+    # a mark of four bytes and the length stand before the message
+    message = message[8:] if message[:4] == b"\xff" * 4 else message[4:]
+    schema = follow(field(follow(0), _MESSAGE_HEADER))
+    fields = follow(field(schema, _SCHEMA_FIELDS))
+    names = []
+    for k in range(min(at("I", fields), len(message) // 4)):
+        column = follow(fields + 4 + 4 * k)
+        kind = field(column, _FIELD_TYPE)
+        if kind and message[kind] == _DURATION:
+            text = follow(field(column, _FIELD_NAME))
+            start = text + 4
+            names.append(message[start : start + at("I", text)].decode())
+    return names
 
 
 def sum_groups(
@@ -407,9 +494,11 @@ def sum_groups(
     )
 
 
-def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
+def _read_parquet(
+    path: str, header: ParquetHeader, labels: list[str], chosen: list[str]
+) -> Iterator[Piece]:
     """Yield the pieces of a parquet file, whose columns are called ``labels``."""
-    stored = _parquet_labels(path)
+    stored = header.stored
     columns = ", ".join(quote_label(stored[labels.index(label)]) for label in chosen)
     source = PARQUET.replace(")", ", file_row_number = true)")
     which = "WHERE file_row_number >= {start} AND file_row_number < {stop}"
@@ -417,7 +506,7 @@ def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[P
         # DuckDB's own column cannot stand beside it; this way reads rows twice
         source = PARQUET
         which = "LIMIT {size} OFFSET {start}"
-    n_rows = count_parquet_rows(path)
+    n_rows = header.n_rows
     with open_duckdb(path) as run:
         for start in range(0, n_rows, N_PARQUET_ROWS):
             stop = min(start + N_PARQUET_ROWS, n_rows)
@@ -828,11 +917,12 @@ def _find_line(path: str, row: int) -> Line:
     return next(itertools.islice(lines, row + 1, None), Line(0, []))
 
 
-def csv_frame(path: str) -> Any:
+def csv_frame(path: str, *, has_flags: bool = True) -> Any:
     """Read a CSV file with a header as a DataFrame, its numbers to the last bit.
 
-    Names are texts as they are written, and an empty field is missing. Raises an
-    ArgumentError for another file, and for a line that has other fields.
+    Names are texts as they are written, and an empty field is missing. ``has_flags``:
+    whether true and false are flags, not names. Raises an ArgumentError for another
+    file, and for a line that has other fields.
     """
     name = _files.local(path)
     labels, _, encoding = _csv_header(name)
@@ -858,6 +948,11 @@ def csv_frame(path: str) -> Any:
         frame = _call_pandas(
             handle, encoding=encoding, keep_default_na=False, na_values=[""]
         )
+    flags = [label for label in frame if frame[label].dtype.kind == "b"]
+    if flags and not has_flags:
+        with _csv_errors(name), open_csv(name) as handle:
+            texts = _call_pandas(handle, encoding=encoding, dtype=str)
+        frame[flags] = texts[flags]
     # a label that is empty has the name that pandas gives it
     frame.columns = [
         label or own for label, own in zip(labels, frame.columns, strict=True)

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import __version__, _checks, _files
 from oee_tabular._results import checked
+from oee_tabular.data import TransitionCounts
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
@@ -263,8 +265,9 @@ class Report:
 
         It states the value of a single policy, or which of several policies is worth
         most. A log that contradicts the simulator's rewards, or that covers less than
-        half of what a policy does, is named first; rewards that were rounded, or change
-        each value by less than a twentieth of half its interval, are not.
+        half of what a policy does, is named first, and so are rows of the log that
+        could not be read where they are more than 1%; rewards that were rounded, or
+        change each value by less than a twentieth of half its interval, are not.
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
@@ -281,7 +284,19 @@ class Report:
             where = str(conflict)
             where = f"{where[0].upper()}{where[1:]}"
             sentences.insert(0, text.REWARD_CONFLICT.format(where))
+        sentences.insert(0, self._lost_rows())
         return " ".join(filter(None, sentences))
+
+    def _lost_rows(self) -> str:
+        """Return which part of the log could not be read, empty where it is small."""
+        log = self.problem.log if self.problem is not None else None
+        if not isinstance(log, TransitionCounts):
+            return ""
+        lost = log.recording.dropped
+        share = lost / max(lost + len(log), 1)
+        if share <= MAX_UNREAD_SHARE:
+            return ""
+        return text.ROWS_LOST.format(rows=lost, all=lost + len(log), share=share)
 
     def _is_conflict_small(self, answers: Sequence[Answer]) -> bool:
         """Say whether the log's rewards are rounded, or matter to no value."""

@@ -80,6 +80,10 @@ NO_VALUE = (
     "No estimator could give the value of a policy in the target. The notes say why."
 )
 REWARD_CONFLICT = "{}, so this rests on rewards that may be wrong."
+ROWS_LOST = (
+    "{rows} of the log's {all} rows ({share:.1%}) could not be read, and nobody knows"
+    " where they led."
+)
 MISSING_WEIGHTS = "Importance sampling is left out ({}): {}."
 NOT_TESTED = (
     "The simulator has one possible next state in every recorded state-action pair, so"

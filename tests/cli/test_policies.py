@@ -1,5 +1,7 @@
 """Policies as CSV tables: their labels, what is left out, and what is refused."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -109,3 +111,48 @@ def test_info_says_that_a_table_is_a_policy(run, tmp_path):
     assert "must have the columns state, action, next_state" in run(
         "info log.csv", code=2
     )
+
+
+@pytest.mark.parametrize("labels", [["0", "00"], ["1", "0", "01"], ["0", "1", "000"]])
+def test_one_action_in_two_columns_is_refused(tmp_path, labels):
+    frame = pd.DataFrame({"state": [0, 1]}).assign(**dict.fromkeys(labels, 0.5))
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    simulator = oee.FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.ones((2, 2)), initial=[1, 0], discount=0.5
+    )
+    with pytest.raises(ValueError, match=r"one column for each action; .* are both"):
+        read_policy_table(str(tmp_path / "p.csv"), simulator)
+
+
+def test_states_and_actions_are_read_as_those_of_logs(tmp_path):
+    path = tmp_path / "p.csv"
+    flags = {"state_names": ["True", "False"], "action_names": ["yes", "no"]}
+    simulator = oee.FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.ones((2, 2)), initial=[1, 0], discount=0.5
+    )
+    named = oee.FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.ones((2, 2)), initial=[1, 0], discount=0.5, **flags
+    )
+    path.write_text("state,action\n0.0,1.0\n1.0,0.0\n")
+    assert read_policy_table(str(path), simulator) == {0: 1, 1: 0}
+    path.write_text("state,action\nTrue,no\nFalse,yes\n")
+    found = read_policy_table(str(path), named)
+    assert found == {"True": "no", "False": "yes"}
+    assert oee.mdp.check_policy(found, named).tolist() == [[0, 1], [1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("state,action\n0,1\n1,\n", "action[1]"),
+        ("state,action,probability\n0,1,1\n,0,1\n", "state[1]"),
+        ("state,0,1\n0,0.5,0.5\n,0.5,0.5\n", "state[1]"),
+    ],
+)
+def test_empty_states_and_actions_are_named_by_their_row(tmp_path, text, place):
+    (tmp_path / "p.csv").write_text(text)
+    simulator = oee.FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.ones((2, 2)), initial=[1, 0], discount=0.5
+    )
+    with pytest.raises(ValueError, match=re.escape(f"{place} has none (1 such")):
+        read_policy_table(str(tmp_path / "p.csv"), simulator)

@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_array_equal
 
 from oee_tabular.data import ContinuousTransitions
+from oee_tabular.exceptions import DataWarning
 
 STATES = np.array([[0.0, 0.1], [0.2, 0.3], [0.4, 0.1], [1.0, 1.0]])
 FOLLOWING = np.array([[0.2, 0.3], [0.4, 0.1], [0.5, 0.0], [2.0, 2.0]])
@@ -150,7 +151,8 @@ def test_bad_files(tmp_path, text, message):
 
 
 def test_logs_are_joined_and_drawn_from():
-    both = ContinuousTransitions.concatenate([log(), log(episode=None)])
+    with pytest.warns(DataWarning, match=r"left out .*: episode, .*logs\[1\] lacks"):
+        both = ContinuousTransitions.concatenate([log(), log(episode=None)])
     assert both.episode is None
     two = ContinuousTransitions.concatenate([log(), log()])
     assert_array_equal(two.episode, [4, 4, 4, 7, 12, 12, 12, 15])

@@ -165,3 +165,19 @@ def test_dropped_rows_are_of_the_simulators_states():
     counts = TransitionCounts([0], [0], [0], [1], dropped=[[9, 0, 2]])
     with pytest.raises(ValueError, match=r"log\.dropped\[0, 0\] must be in 0\.\.3"):
         oee.Problem(simulator(), counts)
+
+
+@pytest.mark.parametrize(("column", "value"), [("next_state", "?"), ("state", "x")])
+@pytest.mark.parametrize(("n_lost", "is_told"), [(1, False), (40, True)])
+def test_the_answer_begins_with_what_could_not_be_read(
+    tmp_path, column, value, n_lost, is_told
+):
+    whole = frame_of(100).drop(columns=["episode", "timestep"])
+    odd = hide(whole.astype(object), column, list(range(n_lost)), value)
+    odd.to_csv(tmp_path / "log.csv", index=False)
+    log = Transitions.open(tmp_path / "log.csv", simulator=simulator(), bad_rows="drop")
+    problem = oee.Problem(simulator(), log)
+    report = oee.evaluate(problem, {"new": oee.uniform_policy(simulator())}, seed=0)
+    n = len(whole)
+    told = f"{n_lost} of the log's {n} rows ({n_lost / n:.1%}) could not be read"
+    assert report.headline.startswith(told) == is_told

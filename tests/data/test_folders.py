@@ -233,3 +233,152 @@ def test_a_pattern_of_files_and_folders_is_refused(tmp_path):
     (tmp_path / "day3").mkdir()  # holds no log
     (tmp_path / "day3" / "plot.png").touch()
     assert len(oee.Transitions.load(str(tmp_path / "day[13]*"))) == 1
+
+
+LACKING = {
+    "episode": {"episode": [0, 0]},
+    "behavior_probability": {"behavior_probability": [0.5, 0.5]},
+    "terminated": {"terminated": [0, 1]},
+    "timestep": {"timestep": [0, 1]},
+}
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("column", LACKING)
+def test_a_column_that_one_of_several_files_lacks_is_refused(
+    tmp_path, read, is_first, column
+):
+    plain = pd.DataFrame({"state": [0, 1], "action": [0, 1], "next_state": [1, 0]})
+    other = plain.assign(next_state=[1, 2])
+    if column == "timestep":
+        plain, other = plain.assign(episode=[0, 0]), other.assign(episode=[1, 1])
+    both = [plain.assign(**LACKING[column]), other]
+    for name, frame in zip(("a", "b"), both if is_first else both[::-1], strict=True):
+        frame.to_csv(tmp_path / f"{name}.csv", index=False)
+    has, lacks = ("a", "b") if is_first else ("b", "a")
+    message = rf"same columns; .*{has}.csv' has '{column}', and .*{lacks}.csv' does not"
+    with pytest.raises(ValueError, match=message):
+        read(tmp_path)
+    # the remedy
+    assert len(read(tmp_path, columns={column: None})) == 4
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_rewards_may_be_missing_in_a_file(tmp_path, read):
+    plain = pd.DataFrame({"state": [0, 1], "action": [0, 1], "next_state": [1, 0]})
+    plain.to_csv(tmp_path / "a.csv", index=False)
+    plain.assign(state=[0, 2], reward=[1.0, 2.0]).to_csv(
+        tmp_path / "b.csv", index=False
+    )
+    assert len(read(tmp_path)) == 4
+
+
+OWN = {"state": [0, 1], "action": [0, 0], "next_state": [1, 0]}
+NO_ACTION = {"state": [0, 1], "next_state": [1, 0]}
+U = {"state": [0, 1], "u": [0, 0], "next_state": [1, 0]}
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize(
+    ("folder", "table", "columns"),
+    [
+        ("action=1/action=2", NO_ACTION, None),
+        ("action=1/x/action=01", NO_ACTION, None),
+        ("act=1/action=2", NO_ACTION, None),
+        ("act=1", OWN, None),
+        ("Actions=1", OWN, None),
+        ("u=1", U, {"action": "u"}),
+        ("action=1", U, {"action": "u"}),
+        ("act=1", U, {"action": "u"}),
+        ("u=0/act=1", NO_ACTION, {"action": "u"}),
+        ("rewards=2", OWN | {"reward": [1.0, 2.0]}, None),
+    ],
+)
+def test_folders_that_contradict_are_refused(tmp_path, read, folder, table, columns):
+    place = tmp_path / folder
+    place.mkdir(parents=True)
+    pd.DataFrame(table).to_csv(place / "a.csv", index=False)
+    with pytest.raises(ValueError, match=r"what the folder|one thing of each column"):
+        read(tmp_path, columns=columns)
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("folder", ["action=0/action=0", "act=0/action=0", "act=0"])
+def test_folders_that_agree_are_read(tmp_path, read, folder):
+    place = tmp_path / folder
+    place.mkdir(parents=True)
+    pd.DataFrame(OWN).to_csv(place / "a.csv", index=False)
+    assert set(read(tmp_path).action) == {0}
+
+
+def test_labels_of_every_file_are_reported(tmp_path):
+    frame = pd.DataFrame(OWN)
+    frame.assign(reward=1.0).to_csv(tmp_path / "a.csv", index=False)
+    frame.assign(state=[2, 1], rewards=1.0, pay=3).to_csv(
+        tmp_path / "b.csv", index=False
+    )
+    for read in READERS:
+        with pytest.warns(DataWarning) as told:
+            read(tmp_path)
+        said = " ".join(str(one.message) for one in told)
+        assert "'rewards' as reward" in said
+        assert "left out: pay" in said
+
+
+@pytest.mark.parametrize("column", ["state", "action"])
+def test_names_in_one_file_and_numbers_in_another_are_refused(tmp_path, column):
+    named = {"state": ["x", "y"], "next_state": ["y", "x"]}
+    names = named if column == "state" else {"action": ["x", "y"]}
+    frame = pd.DataFrame(OWN)
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    frame.assign(**names).to_csv(tmp_path / "b.csv", index=False)
+    message = rf"names as {column}, or numbers; .*b.csv' has 'x', and .*a.csv' has 0 "
+    with pytest.raises(ValueError, match=message):
+        Transitions.load(tmp_path)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_folder_may_be_called_like_a_pattern(tmp_path, read):
+    for name in ("p[1]", "p1"):
+        (tmp_path / name).mkdir()
+        frame_of(5, len(name)).to_csv(tmp_path / name / "a.csv", index=False)
+    assert len(read(str(tmp_path / "p[1]" / "*.csv"))) == 5
+    (tmp_path / "p1" / "a.csv").unlink()
+    assert len(read(str(tmp_path / "p[1]" / "*.csv"))) == 5
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("column", ["reward", "episode", "wait"])
+def test_durations_in_parquet_are_no_numbers(tmp_path, read, unit, column):
+    arrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    spans = arrow.array([0, 0], arrow.duration(unit))
+    table = arrow.table({"wide": ["x", "y"], **OWN, column: spans, "é": [1, 2]})
+    parquet.write_table(table, tmp_path / "log.parquet")
+    if column == "wait":  # which is left out
+        with pytest.warns(DataWarning, match="left out: wide, wait, é"):
+            assert len(read(tmp_path)) == 2
+        return
+    with pytest.raises(ValueError, match=f"'{column}' holds durations"):
+        read(tmp_path)
+
+
+def test_rewards_whose_sum_is_no_float_are_refused(tmp_path):
+    frame = pd.DataFrame(
+        {"state": 0, "action": 0, "next_state": 0, "reward": [1e308] * 2}
+    )
+    for ending in ("csv", "parquet"):
+        write(frame, tmp_path / f"log.{ending}")
+        with pytest.raises(ValueError, match="state 0, action 0 add up to inf"):
+            Transitions.open(tmp_path / f"log.{ending}")
+
+
+def test_columns_of_parquet_without_a_name_are_refused(tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(arrow.table({**OWN, "": [1.0, 2.0]}), tmp_path / "log.parquet")
+    for read in READERS:
+        with pytest.raises(ValueError, match="whose name is empty"):
+            read(tmp_path, columns={"reward": ""})
