@@ -18,6 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._isolation import begin_worker, safe_children
 from oee_tabular._memory import free_memory
 from oee_tabular.typing import Array

@@ -4,6 +4,7 @@ Numbers are checked by hand on small tables, and by another route.
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from scipy import stats
 
+import oee_tabular as oee
 from oee_tabular.lab.bench.league import (
     ERRORS,
     EXPLAINED,
@@ -396,3 +398,35 @@ def test_the_floor_against_the_least_favourable_prior():
     assert 1.22 < least < worst < 1.23
     assert_allclose(floor(ERRORS), np.sqrt(squares)[np.isin(errors, ERRORS)], rtol=0.01)
     assert floor(np.array([7.0, -7.0])).tolist() == [1.224, 1.224]
+
+
+def test_errors_are_told_by_the_distance_of_the_policy():
+    """Near is below .3, far from .5 on; cells without a distance count in neither."""
+    parts = []
+    distances = {"a": 0.0, "b": 0.29, "c": 0.3, "d": 0.5, "e": 1.0, "f": math.nan}
+    for k, (family, distance) in enumerate(distances.items()):
+        errors = {ML: [2.0, 2.0], SIM: [3.0, 3.0], "mine": [2.0**-k] * 2}
+        parts.append(rows(family, 3, errors, distance=distance))
+    mine = row(league(*parts))
+    near, between, far = (
+        mine[f"over likelihood, {which}"] for which in ("near", "between", "far")
+    )
+    assert_allclose([near, between, far], [2**-1.5, 2**-3.0, 2**-4.5])
+    plain = row(league(rows("a", 3, {ML: [1, 1], SIM: [3, 3], "mine": [1, 1]})))
+    assert math.isnan(plain["over likelihood, near"])
+
+
+def test_the_distance_is_that_of_the_shares_of_pairs():
+    """The recorded policy is near, but for the discount; one of other actions at 1."""
+    family = oee.bench.families()["corridor30"]
+    same = replace(family, policy=family.data_policy)
+    other = replace(
+        family,
+        policy=np.eye(2)[np.ones(30, int)],
+        data_policy=np.eye(2)[np.zeros(30, int)],
+    )
+    made = {"same": same, "other": other}
+    found = oee.bench.run("simulator", families=lambda seed: made, sizes=1, seeds=1)
+    distance = found.table.groupby("family")["distance"].first()
+    assert 0 < distance["same"] < 0.1
+    assert distance["other"] == pytest.approx(1.0)

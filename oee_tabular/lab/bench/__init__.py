@@ -313,8 +313,8 @@ def measure_cell(
 def facts_of(family: Family, problem: Problem) -> Row:
     """Compute what is known exactly about a log.
 
-    These are the truth, the share of the policy's time that the log covers, and the
-    efficiency bound / n.
+    These are the truth, the share of the policy's time that the log covers, the
+    efficiency bound / n, and how far the policy is from the recorded one.
     """
     n = len(problem.log)
     horizon = family.horizon
@@ -326,8 +326,11 @@ def facts_of(family: Family, problem: Problem) -> Row:
     time = np.where(family.target.absorbing()[:, None], 0.0, time)
     observed = row_sums(problem.counts).reshape(time.shape) > 0
     covered = 1.0
+    distance = 0.0
     if time.sum() > 0:
         covered = float(time[observed].sum() / time.sum())
+        shares = time / time.sum()
+        distance = 1.0 - float(np.minimum(shares, family.data_distribution).sum())
     bound = math.inf
     if not is_endless:
         bound = efficiency_bound(
@@ -339,6 +342,7 @@ def facts_of(family: Family, problem: Problem) -> Row:
         "identical": family.identical,
         "truth": family.truth,
         "covered": covered,
+        "distance": distance,
         "bound": bound / n if math.isfinite(bound) else math.nan,
     }
 

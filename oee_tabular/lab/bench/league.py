@@ -98,6 +98,11 @@ N_RESAMPLES = 2000  # of the seeds
 # A ratio is surely above SURE_RATIO where this quantile of its bootstrap is.
 SURE_QUANTILE = 0.05
 SURE_RATIO = 1.1
+OVER = "over likelihood"
+# A policy is near the recorded one, or far, by the total variation between the shares of
+# state-action pairs of both in the target.
+NEAR = 0.3
+FAR = 0.5
 # Intervals count on logs of at least so many transitions per stochastic pair that cover
 # more than this share of the policy's time.
 MIN_INTERVAL_SIZE = 3.0
@@ -125,6 +130,7 @@ def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
     is_counted = (first["covered"] > MIN_INTERVAL_COVER).to_numpy() & (
         size >= MIN_INTERVAL_SIZE
     )
+    is_far_known = "distance" in first
     rows = []
     for name, mine in part.groupby("estimator", sort=False):
         mine = mine.set_index("seed").reindex(errors.index)
@@ -145,6 +151,9 @@ def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
                 **ratios,
                 "bias": float(errors[name].mean()),
                 "covered": float(first["covered"].mean()),
+                "distance": float(
+                    first["distance"].mean() if is_far_known else math.nan
+                ),
                 **_intervals(mine, eff, is_counted),
                 "seconds": float(mine["seconds"].dropna().median()),
             }
@@ -259,8 +268,9 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "worst": worst_ratio,
         "worst cell": worst_cell,
         "surely above 1.1": float((known["low"] > SURE_RATIO).mean()),
-        "over likelihood": geometric_mean(known["over_likelihood"]),
+        OVER: geometric_mean(known["over_likelihood"]),
         "over eff": geometric_mean(known["over_eff"]),
+        **_by_distance(known),
         "logs": int(sums["logs"]),
         "coverage": float(sums["held"] / (sums["logs"] or math.nan)),
         "worst family": str(share.idxmin()) if len(share) else "",
@@ -270,6 +280,20 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "width of 1.96 se": float(cells["se_width"].dropna().median()),
         "seconds": float(cells["seconds"].mean()),
         "failed": int(cells["failed"].sum()),
+    }
+
+
+def _by_distance(cells: pd.DataFrame) -> dict[str, float]:
+    """Return "over likelihood" of policies near the recorded one, far, and between."""
+    distance = cells.get("distance", pd.Series(math.nan, cells.index))
+    groups = {
+        f"{OVER}, near": distance < NEAR,
+        f"{OVER}, between": distance.between(NEAR, FAR, inclusive="left"),
+        f"{OVER}, far": distance >= FAR,
+    }
+    return {
+        label: geometric_mean(cells["over_likelihood"][is_here])
+        for label, is_here in groups.items()
     }
 
 
@@ -323,7 +347,10 @@ EXPLAINED = (
     " geometric mean of the ratios over cells (family x size). `floor`: the same of the"
     " best rule that sees the value alone. `surely above 1.1`: share of cells where the"
     " 5% quantile of the paired bootstrap over the seeds is above 1.1. `over"
-    " likelihood`, `over eff`: RMSE over maximum likelihood's, over eff. `coverage`,"
+    " likelihood`, `over eff`: RMSE over maximum likelihood's, over eff; `near`,"
+    " `between`, `far`: of families whose policy is less than 0.3 from the recorded one,"
+    " from 0.3 to 0.5, and farther, as the total variation between the shares of"
+    " state-action pairs. `coverage`,"
     " `width`: of the reported interval, over logs of at least 3 transitions per"
     " stochastic pair that cover more than 90% of the policy's time; widths are over 2"
     " x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. `seconds`: processor"
@@ -879,7 +906,8 @@ def league_of(table: pd.DataFrame) -> League:
     ----------
     table : DataFrame
         Columns family, families, size, seed, estimator, value, standard_error, error,
-        lower, upper, seconds, covered, bound, identical, status and truth. Among the
+        lower, upper, seconds, covered, bound, identical, status and truth, and distance
+        where it is known. Among the
         estimators are the references "maximum-likelihood" and "simulator".
 
     Returns
