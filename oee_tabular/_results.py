@@ -329,8 +329,9 @@ def _number(value: Any, name: str) -> Any:
         return value
     try:
         if isinstance(value, int | np.integer):
-            float(value)  # a larger one is no float
-            return value
+            number = float(value)  # a larger one is no float
+            # numpy has no functions of integers of more than 64 bits
+            return value if abs(number) < 2.0**63 else number
         array = None if _checks.is_sparse(value) else np.asarray(value)
         if array is None or array.ndim or array.dtype.kind not in "biufO":
             raise TypeError

@@ -16,7 +16,7 @@ from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.data.rules import COLUMNS, KEY, check_array
+from oee_tabular.data.rules import COLUMNS, KEY, MOVE, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
 from oee_tabular.data.transitions import Transitions, describe_facts
 from oee_tabular.exceptions import ArgumentError
@@ -196,7 +196,7 @@ class TransitionCounts:
         }
         columns: dict[str, Column] = {}
         for name, value in given.items():
-            if value is None:
+            if value is None and name not in (*MOVE, "count"):
                 continue
             if name in KEY:
                 columns[name] = check_array(value, name)

@@ -423,19 +423,23 @@ def show_way(field: str, label: Any) -> str:
 
 def show_labels(labels: Sequence[Any]) -> str:
     """Return labels in words, at most 300 characters of them."""
-    texts = [
-        label if isinstance(label, str) else repr(label) for label in labels[:1000]
-    ]
+    texts = [_text_of(label) for label in labels[:1000]]
     return _checks.escape_controls(", ".join(texts)[:300]) or "none"
+
+
+def _text_of(label: Any) -> str:
+    """Return a label as text, whose own texts may raise anything."""
+    return label if isinstance(label, str) else _checks.show(label)
 
 
 def suggest_label(label: Any, labels: Sequence[Any]) -> str:
     """Return the label of a table that was probably meant, in words, or nothing."""
-    texts = {str(each)[:80]: each for each in labels[:1000]}
-    near = difflib.get_close_matches(str(label)[:80], list(texts), n=1)
+    texts = {_text_of(each)[:80]: each for each in labels[:1000]}
+    own = _text_of(label)
+    near = difflib.get_close_matches(own[:80], list(texts), n=1)
     if not near:
         lower = {text.lower(): text for text in texts}
-        near = [lower[text] for text in (str(label).lower(),) if text in lower]
+        near = [lower[text] for text in (own.lower(),) if text in lower]
     return f" (did you mean {_checks.show(texts[near[0]])}?)" if near else ""
 
 

@@ -132,7 +132,9 @@ class Comparison:
         The covariance of the values.
     unrecorded_share : ndarray of shape (k,)
         The share in [0, 1] of each policy's discounted time, in states that can be
-        left, that is in unrecorded stochastic pairs or in dropped transitions.
+        left, that is in unrecorded stochastic pairs, in the model whose value is
+        compared. Where transitions were dropped they count as well, in the
+        maximum-likelihood model.
     confidence : float
         The level of each interval by itself, in (0, 1).
     error_factor : float
@@ -587,7 +589,12 @@ def compare_estimates(
         upper + outside.T,
         best[order],
         covariance,
-        np.array([_unrecorded_share(problem, evidences[i]) for i in order]),
+        np.array(
+            [
+                _unrecorded_share(problem, evidences[i], estimates.get(names[i]))
+                for i in order
+            ]
+        ),
         level,
         factor,
     )
@@ -675,8 +682,16 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     return named
 
 
-def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
-    """Return the share of a policy's time in unrecorded or dropped transitions."""
+def _unrecorded_share(
+    problem: Problem, evidence: Evidence, estimate: Estimate | None
+) -> float:
+    """Return the share of a policy's time in unrecorded or dropped transitions.
+
+    It is that of the model whose value is compared, where nothing was dropped.
+    """
+    covered = None if estimate is None else estimate.diagnostics.get("coverage")
+    if covered is not None and not problem.dropped.any():
+        return 1.0 - float(covered)
     time = time_in_pairs(evidence.fitted, evidence.policy, evidence.horizon)
     dropped = problem.dropped
     never = (evidence.n == 0) & evidence.is_stochastic

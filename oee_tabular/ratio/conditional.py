@@ -265,7 +265,9 @@ class Conditional(Method):
             gaps.append(float(gap.max()))
             inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
             safe = np.where(inside, zeta[at], 1.0)
-            curvature[at] = np.where(inside, (p / safe) / safe + ridge, 0.0)
+            with np.errstate(over="ignore"):  # inf: nothing can move such an entry
+                bend = (p / safe) / safe + ridge
+            curvature[at] = np.where(inside, bend, 0.0)
         if is_structured:
             details["enclosure"] = (below, above)
         influence = Influence(rows, observed, zeta, curvature, share, tilt)

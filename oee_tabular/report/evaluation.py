@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
@@ -533,23 +533,28 @@ def contest(
     )
 
 
+class ContestOptions(TypedDict, total=False):
+    """Hold the options of ``contest``, which are options of ``evaluate`` as well."""
+
+    confidence: float
+    normalized: bool
+    target: FiniteMDP | None
+    facts: Mapping[str, Any] | None
+    guaranteed: bool
+    quick: bool
+    lower_ratio: float | None
+    upper_ratio: float | None
+    tie: TieLike | None
+    features: FeaturesLike | None
+    unrecorded: float | None
+    interval_seconds: float | None
+
+
 def contest_showing(
     problem: Problem,
     policies: PoliciesLike,
     show: Callable[[Report], object] | None,
-    *,
-    confidence: float = 0.95,
-    normalized: bool = False,
-    target: FiniteMDP | None = None,
-    facts: Mapping[str, Any] | None = None,
-    guaranteed: bool = False,
-    quick: bool = False,
-    lower_ratio: float | None = None,
-    upper_ratio: float | None = None,
-    tie: TieLike | None = None,
-    features: FeaturesLike | None = None,
-    unrecorded: float | None = None,
-    interval_seconds: float | None = None,
+    **options: Unpack[ContestOptions],
 ) -> Report:
     """Compare policies, and show a large problem's report before its intervals.
 
@@ -560,23 +565,7 @@ def contest_showing(
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
     return evaluate_showing(
-        problem,
-        policies,
-        show,
-        estimators=["oee"],
-        confidence=confidence,
-        seed=0,
-        normalized=normalized,
-        target=target,
-        facts=facts,
-        guaranteed=guaranteed,
-        quick=quick,
-        lower_ratio=lower_ratio,
-        upper_ratio=upper_ratio,
-        tie=tie,
-        features=features,
-        unrecorded=unrecorded,
-        interval_seconds=interval_seconds,
+        problem, policies, show, estimators=["oee"], seed=0, **options
     )
 
 

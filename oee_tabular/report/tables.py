@@ -86,9 +86,21 @@ def estimator_columns(report: Report, *, verbose: bool) -> Columns:
 
 
 def value_columns(report: Report) -> Columns:
-    """Return the columns of a value and its interval."""
+    """Return the columns of a value and its interval.
+
+    A value without an interval has the digits that the policy's answer has.
+    """
+    quoted = {answer.policy: (answer.lower, answer.upper) for answer in report.answers}
+
+    def value(row: Row) -> str:
+        """Write a value with as many digits as an interval allows."""
+        ends = row["lower"], row["upper"]
+        if None in ends:
+            ends = quoted.get(row["policy"], (None, None))
+        return write_value(row["value"], *ends)
+
     return {
-        "value": lambda row: write_value(row["value"], row["lower"], row["upper"]),
+        "value": value,
         f"{report.confidence:.0%} interval": lambda row: write_interval(
             row["lower"], row["upper"]
         ),

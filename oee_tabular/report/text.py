@@ -18,9 +18,10 @@ from oee_tabular import _printing
 MIN_COVERAGE = 0.5
 METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": (
-        "every value that the log does not reject, if state-action pairs that were never"
-        " recorded differ from the estimate by at most a factor (unrecorded=,"
-        " --unrecorded)."
+        "value ± normal quantile × standard error, widened by what state-action pairs"
+        " that were never recorded can change if they differ from the estimate by at most"
+        " a factor (unrecorded=, --unrecorded). With the factor inf: every value that the"
+        " log does not reject."
     ),
     "likelihood under the tie": (
         "every value of the model with this tie that the log does not reject."

@@ -270,7 +270,7 @@ def find_intervals(
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
     lacking = _reason_without_intervals(problem, evidence) or missing
-    distance = (_test_simulator(evidence)[0],)
+    distance = (_tested(problem, evidence)[0],)
     del evidence  # as much memory as the simulator
     if lacking:
         if guaranteed:
@@ -325,6 +325,14 @@ def _reason_without_intervals(problem: Problem, evidence: Evidence) -> str:
     return ""
 
 
+def _tested(problem: Problem, evidence: Evidence) -> tuple[str, BoolArray]:
+    """Return ``_test_simulator``, which is the same for all policies of a problem."""
+    if _test_simulator not in problem.cache:
+        problem.cache[_test_simulator] = _test_simulator(evidence)
+    found: tuple[str, BoolArray] = problem.cache[_test_simulator]
+    return found
+
+
 def _test_simulator(evidence: Evidence) -> tuple[str, BoolArray]:
     """Test the simulator against the log, as a whole and pair by pair.
 
@@ -367,7 +375,7 @@ def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
     if problem.horizon is not None or problem.simulator.discount == 1.0:
         return ""
     evidence = gather(problem, policy)
-    _, is_rejecting = _test_simulator(evidence)
+    _, is_rejecting = _tested(problem, evidence)
     if not is_rejecting.any():
         return ""
     _, corrected = estimate_with_rows(problem, policy)

@@ -58,6 +58,16 @@ def as_code(value: object) -> str:
     >>> eval(oee.testing.as_code(coin)).rewards.tolist()
     [[0.0], [1.0]]
     """
+    try:
+        return _write(value)
+    except RecursionError:
+        raise ArgumentError(
+            "value", "must not be nested so deep, or hold itself"
+        ) from None
+
+
+def _write(value: object) -> str:
+    """Write a value, and what is in it."""
     if isinstance(value, FiniteMDP):
         return _call("oee.FiniteMDP", _mdp_arguments(value))
     if isinstance(value, Transitions):
@@ -71,19 +81,19 @@ def as_code(value: object) -> str:
     if isinstance(value, np.ndarray):
         return _array(value)
     if isinstance(value, np.generic):
-        return as_code(value.item())
+        return _write(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return f"{'-' if value < 0 else ''}np.{'nan' if np.isnan(value) else 'inf'}"
     if value is None or isinstance(value, bool | int | float | str):
         return repr(value)
     if isinstance(value, Mapping):
-        pairs = (f"{as_code(key)}: {as_code(item)}" for key, item in value.items())
+        pairs = (f"{_write(key)}: {_write(item)}" for key, item in value.items())
         return f"{{{', '.join(pairs)}}}"
     if isinstance(value, tuple):
-        items = [as_code(item) for item in value]
+        items = [_write(item) for item in value]
         return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
     if isinstance(value, Sequence):
-        return f"[{', '.join(map(as_code, value))}]"
+        return f"[{', '.join(map(_write, value))}]"
     raise ArgumentError(
         "value",
         "must be an MDP, a log, an array or a plain value; got"
@@ -93,9 +103,7 @@ def as_code(value: object) -> str:
 
 def _call(name: str, arguments: Mapping[str, Any]) -> str:
     """Write a call with an argument a line."""
-    lines = [
-        f"    {key}={_indent(as_code(value))}," for key, value in arguments.items()
-    ]
+    lines = [f"    {key}={_indent(_write(value))}," for key, value in arguments.items()]
     return "\n".join([f"{name}(", *lines, ")"])
 
 
@@ -113,7 +121,7 @@ def _array(array: np.ndarray[Any, Any]) -> str:
             f" {array.size}",
         )
     kind = array.dtype
-    numbers = as_code(array.tolist())
+    numbers = _write(array.tolist())
     if array.size and np.asarray(array.tolist()).dtype == kind:
         return f"np.array({numbers})"
     name = "object" if kind.kind == "O" else kind.str
@@ -168,7 +176,7 @@ def program(parts: Mapping[str, object], recipes: Mapping[str, str]) -> str:
     lines = [IMPORTS, ""]
     for name, value in parts.items():
         try:
-            lines.append(f"{name} = {as_code(value)}")
+            lines.append(f"{name} = {_write(value)}")
         except ArgumentError as error:
             if name in recipes:
                 lines.append(f"{name} = {recipes[name]}")

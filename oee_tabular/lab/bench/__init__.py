@@ -525,7 +525,7 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
     elif isinstance(given, str | Mapping) or not isinstance(given, Iterable):
         names = tuple(families_at(given, seed))
     else:  # names of the package's families
-        names = tuple(dict.fromkeys(given))
+        names = tuple(dict.fromkeys(conform(tuple(given), "families", tuple[str, ...])))
         given = None
     if not names:
         raise ArgumentError("families", "must name at least one; it is empty")

@@ -208,9 +208,20 @@ class Family:
         -------
         int
             The rounded number of transitions, at least 1.
+
+        Raises
+        ------
+        ValueError
+            If it is negative, or the log would have more than 2**53 transitions.
         """
         number = _checks.number_in(per_row, "per_row", 0.0, np.inf)
-        return max(1, round(number * self.open_rows))
+        size = number * self.open_rows
+        if size > 2.0**53:
+            raise ArgumentError(
+                "per_row",
+                f"must be at most {2.0**53 / self.open_rows:g}; it is {number:g}",
+            )
+        return max(1, round(size))
 
     def log(self, n: int, seed: Seed) -> Transitions:
         """Record exactly ``n`` transitions of the data policy in the target.

@@ -816,7 +816,7 @@ def league_files(
     labels: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
     """Return the bytes of the files that ``League.save`` writes, by name."""
-    shown = league.with_labels(labels or {})
+    shown = league.with_labels({} if labels is None else labels)
     contents = {
         "table.csv": _files.csv_bytes(league.table),
         "cells.csv": _files.csv_bytes(league.cells, float_format="%.6g"),

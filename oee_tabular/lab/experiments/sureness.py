@@ -370,8 +370,8 @@ def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 )
 def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
     """FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is
-    optimal with probability 0.49, the policy evaluated 0.7. The default 95% interval
-    (profile likelihood) without a box.
+    optimal with probability 0.49, the policy evaluated 0.7. The default 95% interval,
+    without a box: unrecorded pairs may differ from the estimate by a factor of 3.
     """
     lake = families()["frozen_lake"]
     simulator = lake.simulator

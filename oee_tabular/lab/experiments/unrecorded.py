@@ -17,7 +17,8 @@ coverage of each kind).
 better) J can be where unrecorded rows alone leave the fitted ones by at most the factor
 k. This is a robust evaluation, whose optimum is global. *squares*: the two parts are
 added as squares. *recorded*: what the factor allows replaces the standard error of the
-unrecorded rows, where it is more.
+unrecorded rows, where it is more. *quoted*: *fit, 3, recorded*, but not beyond both
+*sampling* and *likelihood, inf*: the interval that ``oee.interval`` gives.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ from oee_tabular.typing import Array
 
 SPLIT = {**families_redrawn.SPLIT, **families_unrecorded.SPLIT}
 FAULTS = tuple(families_unrecorded.SPLIT)
+QUOTED = "quoted"
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 LEAST_SIZE = 1.0  # of the logs whose intervals are computed
 FACTORS = (1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
@@ -276,6 +278,12 @@ def intervals_by_rule(table: pd.DataFrame) -> dict[str, tuple[Any, Any]]:
     ends["likelihood 3 and sampling"] = (
         np.minimum(low, value - half),
         np.maximum(high, value + half),
+    )
+    # what oee.interval gives: never beyond both of its ends
+    low, high = ends["fit 3, recorded"]
+    ends[QUOTED] = (
+        np.maximum(low, np.minimum(value - half, table.low_inf)),
+        np.minimum(high, np.maximum(value + half, table.high_inf)),
     )
     return ends
 
