@@ -64,8 +64,9 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.features import feature_array
-from oee_tabular.ratio.prior._ridge import minimise, penalized_risk, sum_columns
+from oee_tabular.ratio.prior._ridge import sum_columns
 from oee_tabular.ratio.prior.directions import Directions, own_directions
+from oee_tabular.ratio.prior.newton import Risk, minimise, penalized_risk
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
@@ -452,7 +453,7 @@ def shared_ends(
     pulled = sum_columns(columns, observed, visited.n_actions)
     action = np.zeros((len(fit.theta), 1))
     action[0] = 1.0  # no parameters of an action alone
-    least = penalized_risk(columns, (mass, pulled), fit.theta, fit.penalty)[0]
+    least = penalized_risk(columns, Risk(mass, pulled), fit.theta, fit.penalty)[0]
     limit = least + float(gammaincinv(0.5, level))  # half of chi-square's quantile
 
     def value(theta: Array) -> float:
@@ -470,7 +471,7 @@ def shared_ends(
 
     def minimise_against(force: Array) -> Array:
         """Return argmin f(theta) - force . theta."""
-        statistics = (mass, pulled + force[:-1])
+        statistics = Risk(mass, pulled + force[:-1])
         theta, *_ = minimise(columns, statistics, fit.theta, fit.penalty, 1e-22)
         return np.asarray(action * theta)
 
@@ -481,7 +482,7 @@ def shared_ends(
         def excess(log_c: float) -> float:
             """Return by how much f exceeds the limit at the minimiser for c'."""
             theta = minimise_against(np.exp(log_c) * force)
-            risk = penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0]
+            risk = penalized_risk(columns, Risk(mass, pulled), theta, fit.penalty)[0]
             return float(risk - limit)
 
         low = high = 0.0

@@ -1,28 +1,19 @@
-"""Kernels of the tilt: its rows, Newton's method for its risk, and its strengths.
+"""Sums over the entries of a tilt: its rows, and the moments of its directions.
 
 A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in column
 d_1 + ``code`` (no one where the code is -1). The parameters are theta (1 + A, d): those
-of all actions, then those of each action alone. f'' is an arrow (see ``ridge``): its
-blocks are diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the
-penalty, with one row where no action has parameters of its own.
-Written in loops, since numba takes 32 s to compile this in array expressions, and 12 s
-in loops.
+of all actions, then those of each action alone. Loops over entries are compiled here;
+what is done once an iteration (``newton``) is numpy, which is as quick from a hundred
+states on, and compiles in a seventh of the time.
 """
 
-from typing import Any, NamedTuple
+from math import exp, log
+from typing import NamedTuple
 
 import numpy as np
 
 from oee_tabular._compiling import njit
-
-# The largest number of steps of Newton's method.
-N_NEWTON = 50
-# The relative tolerance of f in the rounds before the last: strengths need no more.
-ROUND_TOLERANCE = 1e-5
-# The strength of a group that has practically no effect.
-LARGEST_STRENGTH = 1e6
-# The number of parameters, all of them 0, that the prior of a strength is worth.
-HYPERPRIOR = 0.25
+from oee_tabular.typing import Array, IntArray
 
 
 class Columns(NamedTuple):
@@ -32,18 +23,31 @@ class Columns(NamedTuple):
     weights (entries,) the simulator's.
     """
 
-    base: Any
-    code: Any
-    n_codes: Any
-    indptr: Any
-    action: Any
-    weights: Any
+    base: Array
+    code: IntArray
+    n_codes: int
+    indptr: IntArray
+    action: IntArray
+    weights: Array
+
+
+def find_codes(
+    places: Array,
+    state: IntArray,
+    arrival: IntArray,
+    indptr: IntArray,
+    kinds: Array,
+    tolerance: float,
+) -> IntArray:
+    """Find the place of places[s'] - places[s] in ``kinds`` (k, c), or -1."""
+    code = np.full(len(arrival), -1)
+    fill_codes(places, state, arrival, indptr, kinds, tolerance, code)
+    return code
 
 
 @njit(cache=True, nogil=True)
-def find_codes(places, state, arrival, indptr, kinds, tolerance):
-    """Find the place of places[s'] - places[s] in ``kinds`` (k, c), or -1."""
-    code = np.full(len(arrival), -1)
+def fill_codes(places, state, arrival, indptr, kinds, tolerance, code):
+    """Write the place of each entry's difference in ``kinds``, where it has one."""
     for row in range(len(state)):
         for x in range(indptr[row], indptr[row + 1]):
             for k in range(len(kinds)):
@@ -56,311 +60,145 @@ def find_codes(places, state, arrival, indptr, kinds, tolerance):
                 if same:
                     code[x] = k
                     break
-    return code
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def tilt_rows(columns, theta):
-    """Compute the rows P exp((theta_0 + theta_a) . phi) / Z, (entries,), and ln Z.
-
-    The largest exponent of a row is subtracted first, so that exp does not overflow.
-    """
-    width = columns.base.shape[1]
+def tilt_rows(columns: Columns, theta: Array) -> tuple[Array, Array]:
+    """Compute the rows P exp((theta_0 + theta_a) . phi) / Z, (entries,), and ln Z."""
     model = np.empty(len(columns.weights))
     log_normalizer = np.empty(len(columns.action))
-    for row in range(len(columns.action)):
-        own = theta[0] + theta[1 + columns.action[row]]
-        largest = -np.inf
-        for x in range(columns.indptr[row], columns.indptr[row + 1]):
-            exponent = 0.0
-            for j in range(width):
-                exponent += own[j] * columns.base[x, j]
-            if columns.code[x] >= 0:
-                exponent += own[width + columns.code[x]]
-            model[x] = exponent
-            largest = max(largest, exponent)
-        total = 0.0
-        for x in range(columns.indptr[row], columns.indptr[row + 1]):
-            model[x] = columns.weights[x] * np.exp(model[x] - largest)
-            total += model[x]
-        for x in range(columns.indptr[row], columns.indptr[row + 1]):
-            model[x] /= total
-        log_normalizer[row] = largest + np.log(total)
+    fill_tilt(
+        columns.base,
+        columns.code,
+        columns.indptr,
+        columns.action,
+        columns.weights,
+        theta[0] + theta[1:],
+        model,
+        log_normalizer,
+    )
     return model, log_normalizer
 
 
-@njit(cache=True, nogil=True)
-def sum_columns(columns, values, n_actions):
-    """Sum values_x phi_x over each action's rows, (A, d)."""
-    width = columns.base.shape[1]
-    sums = np.zeros((n_actions, width + columns.n_codes))
-    for row in range(len(columns.action)):
-        own = sums[columns.action[row]]
-        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_tilt(base, code, indptr, action, weights, theta, model, log_normalizer):
+    """Write P exp(theta_a . phi) / Z of each row, and ln Z; theta is (A, d).
+
+    The largest exponent of a row is subtracted first, so that exp does not overflow.
+    """
+    width = base.shape[1]
+    for row in range(len(action)):
+        a = action[row]
+        largest = -np.inf
+        for x in range(indptr[row], indptr[row + 1]):
+            exponent = 0.0
             for j in range(width):
-                own[j] += values[x] * columns.base[x, j]
-            if columns.code[x] >= 0:
-                own[width + columns.code[x]] += values[x]
+                exponent += theta[a, j] * base[x, j]
+            if code[x] >= 0:
+                exponent += theta[a, width + code[x]]
+            model[x] = exponent
+            if exponent > largest:
+                largest = exponent
+        total = 0.0
+        for x in range(indptr[row], indptr[row + 1]):
+            model[x] = weights[x] * exp(model[x] - largest)
+            total += model[x]
+        for x in range(indptr[row], indptr[row + 1]):
+            model[x] /= total
+        log_normalizer[row] = largest + log(total)
+
+
+def sum_columns(columns: Columns, values: Array, n_actions: int) -> Array:
+    """Sum values_x phi_x over each action's rows, (A, d)."""
+    sums = np.zeros((n_actions, columns.base.shape[1] + columns.n_codes))
+    add_columns(
+        columns.base, columns.code, columns.indptr, columns.action, values, sums
+    )
     return sums
 
 
 @njit(cache=True, nogil=True)
-def sum_covariances(columns, model, mass, n_actions):
+def add_columns(base, code, indptr, action, values, sums):
+    """Add values_x phi_x to the sums (A, d) of each entry's action."""
+    width = base.shape[1]
+    for row in range(len(action)):
+        a = action[row]
+        for x in range(indptr[row], indptr[row + 1]):
+            for j in range(width):
+                sums[a, j] += values[x] * base[x, j]
+            if code[x] >= 0:
+                sums[a, width + code[x]] += values[x]
+
+
+def sum_covariances(
+    columns: Columns, model: Array, mass: Array, n_actions: int
+) -> tuple[Array, Array]:
     """Sum mass E[phi], (A, d), and mass Cov[phi], (A, d, d), over each action's rows.
 
     Moments are under ``model``; mass is (rows,). Cov[phi] = E[phi phi'] - E[phi]
-    E[phi]', of which the lower triangle is summed.
+    E[phi]'.
     """
-    width = columns.base.shape[1]
-    d = width + columns.n_codes
+    d = columns.base.shape[1] + columns.n_codes
     means = np.zeros((n_actions, d))
     covariances = np.zeros((n_actions, d, d))
-    mean = np.zeros(d)
-    used = np.arange(d)
-    for row in range(len(columns.action)):
-        if mass[row] == 0.0:
-            continue
-        own = covariances[columns.action[row]]
-        n_used = width  # the columns of the base, then the codes that the row has
-        # mass E[phi phi'] of the row, and mass E[phi] into ``mean``.
-        for x in range(columns.indptr[row], columns.indptr[row + 1]):
-            share = mass[row] * model[x]
-            code = columns.code[x]
-            if share == 0.0:
-                continue
-            for i in range(width):
-                part = share * columns.base[x, i]
-                mean[i] += part
-                for j in range(i + 1):
-                    own[i, j] += part * columns.base[x, j]
-                if code >= 0:
-                    own[width + code, i] += part
-            if code >= 0:
-                if mean[width + code] == 0.0:
-                    used[n_used] = width + code
-                    n_used += 1
-                mean[width + code] += share
-                own[width + code, width + code] += share
-        # Less mass E[phi] E[phi]', for the columns that the row has.
-        for i in range(n_used):
-            for j in range(n_used):
-                if used[j] <= used[i]:
-                    own[used[i], used[j]] -= mean[used[i]] * mean[used[j]] / mass[row]
-        for i in range(n_used):
-            means[columns.action[row], used[i]] += mean[used[i]]
-            mean[used[i]] = 0.0
-    for action in range(n_actions):
-        for i in range(d):
-            for j in range(i):
-                covariances[action, j, i] = covariances[action, i, j]
+    add_covariances(
+        columns.base,
+        columns.code,
+        columns.indptr,
+        columns.action,
+        model,
+        mass,
+        np.zeros(d),
+        np.arange(d),
+        means,
+        covariances,
+    )
+    # of each the lower triangle was summed
+    above = np.triu_indices(d, 1)
+    covariances[:, above[0], above[1]] = covariances[:, above[1], above[0]]
     return means, covariances
 
 
 @njit(cache=True, nogil=True)
-def invert_arrow(covariances, penalty):
-    """Invert the arrow: (G_a + L_a)^-1, (G_a + L_a)^-1 G_a, and the Schur complement.
+def add_covariances(
+    base, code, indptr, action, model, mass, mean, used, means, covariances
+):
+    """Add mass E[phi] and the lower triangle of mass Cov[phi] of each row.
 
-    The first two are (A, d, d), the inverse of the complement is (d, d). The complement
-    is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a,
-    which does not cancel.
+    ``mean`` (d,), zeros, and ``used`` (d,), 0 ... d - 1, are room for one row: mass
+    E[phi], and the columns that it has, first those of the base.
     """
-    n_own = len(penalty) - 1
-    d = penalty.shape[1]
-    inverse = np.empty((n_own, d, d))
-    gain = np.empty((n_own, d, d))
-    left = np.diag(penalty[0])
-    for action in range(len(covariances)):
-        own = covariances[action].copy()
-        if n_own > 0:
-            for i in range(d):
-                own[i, i] += penalty[1 + action, i]
-            inverted = np.linalg.inv(own)
-            own = inverted @ covariances[action]
-        for i in range(d):
-            for j in range(d):
-                if n_own > 0:
-                    inverse[action, i, j] = inverted[i, j]
-                    gain[action, i, j] = own[i, j]
-                    own[i, j] *= penalty[1 + action, i]
-                left[i, j] += 0.5 * own[i, j]
-                left[j, i] += 0.5 * own[i, j]
-    return inverse, gain, np.linalg.inv(left)
-
-
-@njit(cache=True, nogil=True)
-def solve_arrow(inverses, b):
-    """Solve f'' x = b by the inverted arrow, both (blocks, d).
-
-    x_0 = S^-1 (b_0 - sum_a G_a (G_a + L_a)^-1 b_a), x_a = (G_a + L_a)^-1 (b_a - G_a
-    x_0), S the Schur complement.
-    """
-    inverse, gain, shared = inverses
-    x = np.zeros(b.shape)
-    right = b[0].copy()
-    for action in range(len(gain)):
-        for i in range(len(right)):
-            for j in range(len(right)):
-                right[j] -= gain[action, i, j] * b[1 + action, i]
-    for i in range(len(right)):
-        for j in range(len(right)):
-            x[0, i] += shared[i, j] * right[j]
-    for action in range(len(gain)):
-        for i in range(len(right)):
-            for j in range(len(right)):
-                x[1 + action, i] += (
-                    inverse[action, i, j] * b[1 + action, j]
-                    - gain[action, i, j] * x[0, j]
-                )
-    return x
-
-
-@njit(cache=True, nogil=True)
-def invert_diagonal(inverses):
-    """Compute the diagonal of f''^-1, (blocks, d), from the inverted arrow."""
-    inverse, gain, shared = inverses
-    diagonal = np.empty((1 + len(inverse), len(shared)))
-    for i in range(len(shared)):
-        diagonal[0, i] = shared[i, i]
-    for action in range(len(inverse)):
-        part = gain[action] @ shared
-        for i in range(len(shared)):
-            diagonal[1 + action, i] = inverse[action, i, i]
-            for j in range(len(shared)):
-                diagonal[1 + action, i] += part[i, j] * gain[action, i, j]
-    return diagonal
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def differentiate(columns, model, risk, theta, penalty):
-    """Compute f' (blocks, d) and G (A, d, d) where the tilt's rows are ``model``.
-
-    f' = L theta + sum_rows w n E[phi] - sum_x w n_x phi_x.
-    """
-    mass, pulled = risk
-    means, covariances = sum_covariances(columns, model, mass, len(pulled))
-    gradient = penalty * theta[: len(penalty)]
-    for action in range(len(pulled)):
-        for j in range(pulled.shape[1]):
-            gradient[0, j] += means[action, j] - pulled[action, j]
-            if len(penalty) > 1:
-                gradient[1 + action, j] += means[action, j] - pulled[action, j]
-    return gradient, covariances
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def penalized_risk(columns, risk, theta, penalty):
-    """Compute f and the tilt's rows, f as in the docstring of ``prior.ridge``."""
-    mass, pulled = risk
-    model, log_normalizer = tilt_rows(columns, theta)
-    value = 0.0
-    for row in range(len(mass)):
-        value += mass[row] * log_normalizer[row]
-    for action in range(len(pulled)):
-        for j in range(pulled.shape[1]):
-            value -= pulled[action, j] * (theta[0, j] + theta[1 + action, j])
-    for block in range(len(penalty)):
-        for j in range(penalty.shape[1]):
-            value += 0.5 * penalty[block, j] * theta[block, j] ** 2
-    return value, model
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def minimise(columns, risk, theta, penalty, tolerance):
-    """Minimise f by Newton's method with backtracking: theta <- theta - t f''^-1 f'.
-
-    It ends when a step gains less than ``tolerance`` of f or only rounding is left.
-    Returns theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
-    """
-    value, model = penalized_risk(columns, risk, theta, penalty)
-    last = np.inf
-    mass = 0.0
-    gap = 0.0
-    for row in range(len(risk[0])):
-        mass += risk[0][row]
-    for _ in range(N_NEWTON):
-        gradient, covariances = differentiate(columns, model, risk, theta, penalty)
-        step = solve_arrow(invert_arrow(covariances, penalty), gradient)
-        decrement = 0.0
-        gap = 0.0
-        for block in range(len(penalty)):
-            for j in range(penalty.shape[1]):
-                decrement += gradient[block, j] * step[block, j]
-                gap += 0.5 * gradient[block, j] ** 2 / penalty[block, j]
-        size = max(1.0, abs(value), mass)
-        if not decrement > tolerance * size or 1e-12 * size > decrement > 0.25 * last:
-            break
-        last = decrement
-        # Rounding may hide a decrease of f that is this small.
-        slack = 1e-13 * size if decrement < 1e-9 * size else 0.0
-        # The step is halved until f decreases enough.
-        length = 2.0
-        trial = np.inf
-        while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
-            length *= 0.5
-            moved = theta.copy()
-            for block in range(len(step)):
-                for j in range(step.shape[1]):
-                    moved[block, j] -= length * step[block, j]
-            trial, tilted = penalized_risk(columns, risk, moved, penalty)
-        if length <= 1e-12:
-            break
-        theta = moved
-        value = trial
-        model = tilted
-    return theta, covariances, gap
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def update_strengths(theta, inverses, penalty, scale, group, n_groups):
-    """Compute MacKay's lambda of each group of columns, (2, groups).
-
-    lambda_g = [c + sum_j (1 - L_j (f''^-1)_jj)] / sum_j (s_j theta_j)^2, for all
-    actions and for each action alone.
-    """
-    diagonal = invert_diagonal(inverses)
-    told = np.full((2, n_groups), HYPERPRIOR)
-    size = np.zeros((2, n_groups))
-    for block in range(len(penalty)):
-        for j in range(len(group)):
-            told[min(block, 1), group[j]] += (
-                1.0 - penalty[block, j] * diagonal[block, j]
-            )
-            size[min(block, 1), group[j]] += (scale[block, j] * theta[block, j]) ** 2
-    for side in range(2):
-        for k in range(n_groups):
-            told[side, k] = min(
-                max(told[side, k] / max(size[side, k], 1e-300), 1.0), LARGEST_STRENGTH
-            )
-    return told
-
-
-@njit(cache=True, nogil=True)
-def spread_strengths(strengths, scale, group):
-    """Compute the penalty L = lambda s^2 of each column, (blocks, d)."""
-    penalty = np.empty(scale.shape)
-    for block in range(len(scale)):
-        for j in range(len(group)):
-            penalty[block, j] = (
-                strengths[min(block, 1), group[j]] * scale[block, j] ** 2
-            )
-    return penalty
-
-
-@njit(cache=True, nogil=True)
-def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
-    """Fit theta and the strengths by ``n_rounds`` of MacKay's rule.
-
-    Each round minimises f and then updates the strengths. Returns theta, the strengths,
-    G, and the bound on f less its minimum.
-    """
-    for left in range(n_rounds, -1, -1):
-        penalty = spread_strengths(strengths, scale, group)
-        theta, covariances, gap = minimise(
-            columns, risk, theta, penalty, ROUND_TOLERANCE if left else 1e-24
-        )
-        if left:
-            inverses = invert_arrow(covariances, penalty)
-            strengths = update_strengths(
-                theta, inverses, penalty, scale, group, strengths.shape[1]
-            )
-    return theta, strengths, covariances, gap
+    width = base.shape[1]
+    for row in range(len(action)):
+        if mass[row] == 0.0:
+            continue
+        a = action[row]
+        n_used = width
+        # mass E[phi phi'] of the row, and mass E[phi] into ``mean``
+        for x in range(indptr[row], indptr[row + 1]):
+            share = mass[row] * model[x]
+            if share == 0.0:
+                continue
+            for i in range(width):
+                part = share * base[x, i]
+                mean[i] += part
+                for j in range(i + 1):
+                    covariances[a, i, j] += part * base[x, j]
+                if code[x] >= 0:
+                    covariances[a, width + code[x], i] += part
+            if code[x] >= 0:
+                c = width + code[x]
+                if mean[c] == 0.0:
+                    used[n_used] = c
+                    n_used += 1
+                mean[c] += share
+                covariances[a, c, c] += share
+        # less mass E[phi] E[phi]', for the columns that the row has
+        for i in range(n_used):
+            for j in range(n_used):
+                if used[j] <= used[i]:
+                    covariances[a, used[i], used[j]] -= (
+                        mean[used[i]] * mean[used[j]] / mass[row]
+                    )
+        for i in range(n_used):
+            means[a, used[i]] += mean[used[i]]
+            mean[used[i]] = 0.0

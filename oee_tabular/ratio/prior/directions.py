@@ -103,11 +103,12 @@ class Directions:
         simulator. Those of a small simulator are stored.
         """
         if self.without is not None:
-            base, *rest = self.without.columns(rows)
+            fixed = self.without.columns(rows)
             ahead = self.simulator.discount * self.ahead[rows.arrival]
             if self.rewards is not None:
                 ahead = ahead + self.rewards[rows.entries][:, None]
-            return Columns(np.concatenate([base, rows.center(ahead)], axis=1), *rest)
+            both = np.concatenate([fixed.base, rows.center(ahead)], axis=1)
+            return fixed._replace(base=both)
         kept = self._kept.get(id(rows))
         if kept is None:
             kept = rows, self._columns(rows)

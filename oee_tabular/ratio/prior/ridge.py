@@ -49,16 +49,18 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior._ridge import (
     Columns,
-    differentiate,
-    fit_tilt,
-    invert_arrow,
-    solve_arrow,
-    spread_strengths,
     sum_columns,
     sum_covariances,
     tilt_rows,
 )
 from oee_tabular.ratio.prior.directions import GROUPS, Directions
+from oee_tabular.ratio.prior.newton import (
+    Risk,
+    differentiate,
+    fit_tilt,
+    invert_arrow,
+    spread_strengths,
+)
 from oee_tabular.ratio.statements import TiltProgram
 from oee_tabular.typing import Array
 
@@ -136,8 +138,8 @@ class Tilt:
         ``pull`` (A, d) is the value's derivative p in the parameters (``Tilt.pull``).
         """
         both = np.concatenate([pull.sum(axis=0)[None], pull[: len(self.penalty) - 1]])
-        inverses = invert_arrow(self.covariances, self.penalty)
-        return float(np.sum(both * solve_arrow(inverses, both)))
+        arrow = invert_arrow(self.covariances, self.penalty)
+        return float(np.sum(both * arrow.solve(both)))
 
 
 def fit_ridge(
@@ -203,7 +205,7 @@ def fit_ridge(
             kappa = choose_kappa(model)
             weight = np.minimum((1.0 + kappa) / (n + kappa), 1.0)
         weighted = rows.spread(weight) * counts
-        risk = weight * n, sum_columns(columns, weighted, n_actions)
+        risk = Risk(weight * n, sum_columns(columns, weighted, n_actions))
         theta, strengths, covariances, gap = fit_tilt(
             columns, risk, theta, strengths, scale, directions.group, n_rounds
         )

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log, log1p
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -32,20 +32,21 @@ from oee_tabular.typing import Array, IntArray
 
 # The argument from which Stirling's series with four terms errs by less than 1e-13.
 FAR = 12.0
+# Criteria that differ by less than this share are equal.
+EQUAL_SHARE = 1e-13
 
 
 class Counts(NamedTuple):
-    """The recorded rows as the kernels read them.
+    """The recorded rows: the kind and n of each, and the ends of its entries with counts.
 
-    They have the kind and n of each row, and the ends, counts and prior of its entries
-    with counts.
+    ``counts`` and ``prior`` are those of the entries.
     """
 
-    kind: Any
-    ends: Any
-    counts: Any
-    prior: Any
-    n: Any
+    kind: IntArray
+    ends: IntArray
+    counts: Array
+    prior: Array
+    n: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -90,31 +91,40 @@ def log_rising(base, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def score_by_kind(kappa, rows, leave_one_out):
-    """Sum a criterion of the rows' counts over each kind, at kappa (kinds,).
+def add_scores(kappa, kind, ends, counts, prior, n, leave_one_out, score):
+    """Add each row's criterion at the kappa of its kind to the score of the kind.
 
     The criterion of a row is the evidence or leave-one-out formula of this module.
     """
-    score = np.zeros(len(kappa))
-    for row in range(len(rows.n)):
-        strength = kappa[rows.kind[row]]
+    for row in range(len(n)):
+        strength = kappa[kind[row]]
         gained = 0.0
         if leave_one_out:
-            others = strength + max(rows.n[row] - 1.0, 0.0)
-            for x in range(rows.ends[row], rows.ends[row + 1]):
-                gained += rows.counts[x] * log(
-                    (max(rows.counts[x] - 1.0, 0.0) + strength * rows.prior[x]) / others
-                )
+            others = strength
+            if n[row] > 1.0:
+                others += n[row] - 1.0
+            for x in range(ends[row], ends[row + 1]):
+                rest = strength * prior[x]
+                if counts[x] > 1.0:
+                    rest += counts[x] - 1.0
+                gained += counts[x] * log(rest / others)
         else:
-            gained = -log_rising(strength, rows.n[row])
-            for x in range(rows.ends[row], rows.ends[row + 1]):
-                gained += log_rising(strength * rows.prior[x], rows.counts[x])
-        score[rows.kind[row]] += gained
+            gained = -log_rising(strength, n[row])
+            for x in range(ends[row], ends[row + 1]):
+                gained += log_rising(strength * prior[x], counts[x])
+        score[kind[row]] += gained
+
+
+def score_by_kind(kappa: Array, rows: Counts, leave_one_out: bool) -> Array:
+    """Sum a criterion of the rows' counts over each kind, at kappa (kinds,)."""
+    score = np.zeros(len(kappa))
+    add_scores(kappa, *rows, leave_one_out, score)
     return score
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
+def maximise_by_kind(
+    grid: Array, rows: Counts, n_kinds: int, leave_one_out: bool, n_halvings: int
+) -> tuple[Array, Array, Array]:
     """Maximise the criterion over ln kappa, for each kind of rows.
 
     Returns ln kappa and the criterion there, both (kinds,), and the criterion on the
@@ -125,23 +135,22 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
     scores = np.empty((len(grid), n_kinds))
     best = np.full(n_kinds, grid[0])
     value = np.full(n_kinds, -np.inf)
-    for i in range(len(grid)):
-        scores[i] = score_by_kind(np.full(n_kinds, exp(grid[i])), rows, leave_one_out)
-        for kind in range(n_kinds):
-            if scores[i, kind] >= value[kind] - 1e-13 * (1.0 + abs(value[kind])):
-                best[kind] = grid[i]
-                value[kind] = max(scores[i, kind], value[kind])
+    for i, point in enumerate(grid):
+        scores[i] = score_by_kind(np.full(n_kinds, exp(point)), rows, leave_one_out)
+        with np.errstate(invalid="ignore"):  # -inf before the first
+            is_as_good = scores[i] >= value - EQUAL_SHARE * (1.0 + np.abs(value))
+        best[is_as_good] = point
+        value[is_as_good] = np.maximum(scores[i], value)[is_as_good]
     distance = grid[1] - grid[0]
     for _ in range(n_halvings):
         distance *= 0.5
         centre = best.copy()
         for side in (-1.0, 1.0):
-            trial = np.minimum(np.maximum(centre + side * distance, grid[0]), grid[-1])
+            trial = np.clip(centre + side * distance, grid[0], grid[-1])
             new = score_by_kind(np.exp(trial), rows, leave_one_out)
-            for kind in range(n_kinds):
-                if new[kind] > value[kind]:
-                    best[kind] = trial[kind]
-                    value[kind] = new[kind]
+            is_better = new > value
+            best[is_better] = trial[is_better]
+            value[is_better] = new[is_better]
     return best, value, scores
 
 
