@@ -45,10 +45,12 @@ Off-policy confidence interval estimation, NeurIPS 2020.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.optimize import brentq
 from scipy.special import gammaincinv
 
@@ -58,8 +60,9 @@ from oee_tabular.exact import policy_value, solvers, transition_gradient
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.exact.system import Kernel, System, as_readonly
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.inference import _likelihood as kernels
+from oee_tabular.inference._likelihood import fill_best_rows, fill_steps
 from oee_tabular.inference.evidence import Evidence
+from oee_tabular.inference.robust import order_by_row
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.rows import Rows
@@ -103,6 +106,20 @@ SCOUT_TOLERANCE = 1e-3
 # what a solve may leave of it in large problems
 WARM_SOLVE_TOLERANCE = 1e-3
 COLD_SOLVE_TOLERANCE = 1e-9  # the same, where no previous rows are near
+MAX_ITERATIONS = 200  # of an ascent; ten are usual
+# iterations in a row that move the end by less than a share ``tolerance`` of its
+# distance from the reference, after which an ascent ends
+MAX_QUIET_ITERATIONS = 4
+LIMIT_TOLERANCE = 1e-8  # of the limit: how closely it is met in the end
+# of the last iteration's change: how far off J of an iteration may be
+VALUE_TOLERANCE = 1e-3
+# factor of the step after one that was no worse; a step that doubles is refused every
+# other time
+STEP_GROWTH = 1.2
+MIN_STEP = 1e-3  # smaller steps are taken even where J falls
+STILL_CHANGE = 1e-9  # of a probability: a smaller change of all of them is none
+ROUNDING = 1e-14  # of the values: a smaller difference of two of them is none
+TINY = 1e-300
 
 
 class End(NamedTuple):
@@ -124,12 +141,16 @@ class End(NamedTuple):
     is_final: bool
 
 
-class PolicyRows(NamedTuple):
-    """The rows that the policy reaches in some model, in the form that kernels read.
+@dataclass(frozen=True, eq=False)
+class PolicyRows:
+    """The rows that the policy reaches in some model.
 
-    The models are on the simulator's support. ``entries`` are the entries of the
-    evidence; states are numbered anew; ``n_steps`` is 0 without a horizon. Rewards are
-    divided by ``unit``, the largest one, so that floats hold the squares of values.
+    The models are on the simulator's support. Row r of state state[r] has the entries
+    indptr[r] .. indptr[r+1]; entry i leads to column[i], pays pay[i], has weight[i] =
+    pi(a | s), and edge[i] is the place of (state, column) among the edges of the graph
+    of states. ``entries`` are the entries of the evidence; states are numbered anew;
+    ``n_steps`` is 0 without a horizon. Rewards are divided by ``unit``, the largest
+    one, so that floats hold the squares of values.
     """
 
     entries: Any
@@ -183,10 +204,68 @@ class PolicyRows(NamedTuple):
             unit,
         )
 
-    @property
+    @cached_property
+    def row(self) -> IntArray:
+        """Return the row of each entry."""
+        return np.repeat(np.arange(len(self.n)), np.diff(self.indptr))
+
+    @cached_property
     def has_data(self) -> BoolArray:
         """Return whether the log has the row of each entry."""
-        return np.repeat(self.n > 0, np.diff(self.indptr))
+        return np.asarray(self.n[self.row] > 0)
+
+    @cached_property
+    def without_data(self) -> IntArray:
+        """Return the entries of rows without data, in the order of the rows."""
+        return np.flatnonzero(~self.has_data)
+
+    @cached_property
+    def cell(self) -> IntArray:
+        """Return the place of each entry in a matrix of states by states."""
+        return self.state * len(self.initial) + self.column
+
+    @cached_property
+    def identity(self) -> Array:
+        """Return the unit matrix of the states."""
+        return np.eye(len(self.initial))
+
+    @cached_property
+    def row_without_data(self) -> IntArray:
+        """Return the row of each entry that is ``without_data``."""
+        return self.row[self.without_data]
+
+    @cached_property
+    def takes_one(self) -> bool:
+        """Return whether each row without data may lead to one next state alone."""
+        own = self.without_data
+        return bool((self.low[own] <= 0.0).all() and (self.high[own] >= 1.0).all())
+
+    @cached_property
+    def room(self) -> tuple[Array, IntArray, Array, Array]:
+        """Return room for what ``fill_best_rows`` computes of entries and rows."""
+        n = len(self.n)
+        return (
+            np.zeros(len(self.phat)),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n),
+            np.zeros(n),
+        )
+
+    def order(self, x: Array) -> IntArray:
+        """Return the entries in the order in which rows without data take them.
+
+        It is empty where each takes the best one alone.
+        """
+        own = self.without_data
+        if self.takes_one:
+            return own[:0]
+        order = np.arange(len(x))
+        order[own] = own[order_by_row(x[own], self.row_without_data)]
+        return order
+
+    def sums(self, values: Array) -> Array:
+        """Sum the entries of each row."""
+        return np.add.reduceat(values, self.indptr[:-1])
 
     @property
     def is_sparse(self) -> bool:
@@ -194,23 +273,142 @@ class PolicyRows(NamedTuple):
         return len(self.initial) > MAX_DENSE_STATES and not self.n_steps
 
 
-class Ascent(NamedTuple):
-    """The state of an ascent, as kernels read and write it.
+@dataclass(eq=False)
+class Ascent:
+    """The state of an ascent to the end on the side of ``sign``.
 
-    ``p`` are the rows, found for ``last_x``, and ``gradient`` is the gradient of J
-    there (negative on the way down). ``x`` is the next direction, ``trial`` its rows,
-    with their V (``values``), d (``visits``) and gradient of J (``slope``).
+    ``p`` are the rows, found for ``last_x``, ``value`` is J of them, ``divergence``
+    their sum of n KL, and ``gradient`` the gradient of J there (negative on the way
+    down); ``change`` is the change of J in the last iteration. ``x`` is the next
+    direction, and ``values``, ``visits`` and ``slope`` are V, d and the gradient of J of
+    the rows that were evaluated last. ``reference`` is J of the frequencies.
     """
 
-    numbers: Any
     p: Array
     last_x: Array
     gradient: Array
     x: Array
-    trial: Array
     values: Array
     visits: Array
     slope: Array
+    value: float
+    limit: float = 0.0
+    sign: float = 1.0
+    reference: float = 0.0
+    step: float = 1.0
+    tau: float = 0.0
+    change: float = np.inf
+    divergence: float = 0.0
+    slack: float = 0.0
+    n_quiet: int = 0
+    n_iterations: int = 0
+
+    def towards(self, sign: float, x: Array) -> Ascent:
+        """Return an ascent of its own from here, on a side and along a direction."""
+        own = replace(self, sign=sign, x=x.copy())
+        own.values = self.values.copy()
+        own.visits = self.visits.copy()
+        return own
+
+    def propose(self, rows: PolicyRows) -> tuple[Array, float]:
+        """Return the rows P(x) that are best for x, and their sum of n KL.
+
+        P_i = phat_i / (1 + e_r - u_i),   sum n KL = limit.
+
+        The limit is met as closely as the last step was long.
+        """
+        width = abs(self.value - self.reference) + TINY
+        self.slack = VALUE_TOLERANCE * min(self.change, width)
+        room = min(max(self.slack / width, LIMIT_TOLERANCE), 1e-3)
+        trial, self.tau, reached = best_rows(rows, self.x, self.limit, room, self.tau)
+        if rows.n_steps and self.step < 1.0:
+            trial = blend(rows, self.step, trial, self.p)
+        return trial, reached
+
+    def accept(self, trial: Array, value: float, reached: float, least: float) -> bool:
+        """Take the trial rows, or halve the step; return whether that was the last.
+
+        x_{k+1} = x_k + a (G_k - x_k),   a halved where J is worse, else a -> min(1, 1.2
+        a).
+
+        ``value`` is J of the trial rows, ``slope`` the gradient of J there, and
+        ``least`` the share of the distance from the reference by which iterations must
+        move the end.
+        """
+        gain = self.sign * (value - self.value)
+        is_first = self.n_iterations == 0
+        is_last = self.n_iterations >= MAX_ITERATIONS - 1
+        fall = max(2.0 * self.slack, 1e-12 * max(1.0, abs(self.value)))
+        is_worse = gain < -fall and self.step >= MIN_STEP and not is_first
+        self.n_iterations += 1
+        if is_worse:
+            self.step *= 0.5
+        else:
+            # An ascent ends where J has hardly changed for some iterations, or in one in
+            # which the rows have not changed either.
+            if not is_first:
+                self.change = abs(gain)
+            enough = least * abs(value - self.reference)
+            is_still = abs(gain) <= enough + ROUNDING * abs(self.reference)
+            self.n_quiet = self.n_quiet + 1 if is_still else 0
+            if is_still and not is_last:
+                is_last = self.n_quiet >= MAX_QUIET_ITERATIONS or bool(
+                    np.abs(trial - self.p).max() <= STILL_CHANGE
+                )
+            # drawn directions get the gradient's size, so that the two can be mixed
+            if is_first:
+                size = max(float(np.abs(self.x).sum()), TINY)
+                self.x = self.x * (float(np.abs(self.slope).sum()) / size)
+            self.value = value
+            self.divergence = reached
+            self.step = min(1.0, STEP_GROWTH * self.step)
+            self.p = trial
+            self.last_x = self.x
+            self.gradient = self.sign * self.slope
+        self.x = self.last_x + self.step * (self.gradient - self.last_x)
+        return is_last
+
+
+def best_rows(
+    rows: PolicyRows, x: Array, limit: float, room: float, tau: float
+) -> tuple[Array, float, float]:
+    """Return the rows that are best for ``x``, tau, and their sum of n KL.
+
+    The limit is met to a share ``room``; ``tau`` is a guess, or 0.
+    """
+    p = np.empty(len(x))
+    tau, reached = fill_best_rows(
+        rows.indptr,
+        rows.phat,
+        rows.n,
+        rows.low,
+        rows.high,
+        rows.order(x),
+        x,
+        limit,
+        room,
+        tau,
+        *rows.room,
+        p,
+    )
+    return p, tau, reached
+
+
+def blend(rows: PolicyRows, share: float, new: Array, p: Array) -> Array:
+    """Return new rows; of mass that goes all to one state, only ``share`` moves.
+
+    P_i = share new_i + (1 - share) (mass / mass before) P_i in rows without data, and
+    for states that the log never reached.
+    """
+    is_free = ~rows.has_data | (rows.phat == 0.0)
+    mass = rows.sums(np.where(is_free, new, 0.0))
+    had = rows.sums(np.where(is_free, p, 0.0))
+    kept = np.zeros(len(mass))
+    both = (mass > 0.0) & (had > 0.0)
+    kept[both] = (1.0 - share) * mass[both] / had[both]
+    factor = np.where(kept > 0.0, share, 1.0)
+    mixed = factor[rows.row] * new + kept[rows.row] * p
+    return np.where(is_free, mixed, new)
 
 
 def likelihood_ends(
@@ -227,7 +425,7 @@ def likelihood_ends(
     base = _begin(rows, rows.phat)
     own = _begin(rows, evidence.rows.weights[rows.entries])
     # half of chi-square's quantile
-    base.numbers["limit"] = float(gammaincinv(0.5, confidence))
+    base.limit = float(gammaincinv(0.5, confidence))
     drawn = _draw_directions(rows)
     ahead = rows.pay + rows.discount * own.values[rows.column]
     low, high = (
@@ -251,48 +449,35 @@ def _find_end(
     is_large = len(rows.initial) > MAX_DENSE_STATES
     end = base
     is_final = True
-    for x in directions:
+    for along in directions:
         if watch.is_over:
             is_final = False
             break
-        ascent = Ascent(*(part.copy() for part in base))
-        ascent.x[:] = x
-        ascent.numbers["sign"] = sign
+        ascent = base.towards(sign, along)
         tolerance = SCOUT_TOLERANCE if is_large else END_TOLERANCE
         is_final &= _ascend(rows, ascent, tolerance, watch)
-        gain = sign * (ascent.numbers["value"] - end.numbers["value"])
+        gain = sign * (ascent.value - end.value)
         if end is base or gain > 0.0:
             end = ascent
     if is_large and end is not base:
         is_final &= _ascend(rows, end, END_TOLERANCE, watch)
     _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
-    end.trial[:] = end.p
-    numbers = end.numbers[0]
-    kernels.best_rows(
-        rows,
-        sign * end.slope,
-        1.0,
-        numbers["limit"],
-        kernels.LIMIT_TOLERANCE,
-        0.0,
-        end.trial,
-    )
-    gain = sign * end.slope * (end.trial - end.p)
-    promised = np.where(rows.has_data, gain, 0.0).sum()
+    best, _, _ = best_rows(rows, sign * end.slope, end.limit, LIMIT_TOLERANCE, 0.0)
+    gains = sign * end.slope * (best - end.p)
+    promised = np.where(rows.has_data, gains, 0.0).sum()
     whole = evidence.phat.copy()
     whole[rows.entries] = end.p
     value = policy_value(
         evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon
     )
     promised = rows.unit * float(promised)
-    change = rows.unit * float(numbers["change"])
     return End(
         value,
         whole,
         promised,
-        int(numbers["iterations"]),
-        float(numbers["divergence"]),
-        change,
+        end.n_iterations,
+        end.divergence,
+        rows.unit * end.change,
         is_final,
     )
 
@@ -320,55 +505,41 @@ def _draw_directions(rows: PolicyRows) -> Array:
 def _begin(rows: PolicyRows, p: Array) -> Ascent:
     """Begin an ascent at rows p, whose J is the reference."""
     n = len(rows.initial)
-    k = len(p)
     # a uniform d, from which the first solve of a large problem begins
     start = np.zeros(n)
     if rows.is_sparse:
         start = np.full(n, 1.0 / ((1.0 - rows.discount) * n))
-    last_x, gradient, x, trial, slope = np.zeros((5, k))
-    ascent = Ascent(
-        np.zeros(1, dtype=kernels.NUMBERS),
-        p,
-        last_x,
-        gradient,
-        x,
-        trial,
-        np.zeros(n),
-        start,
-        slope,
-    )
-    value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
-    ascent.numbers["value"] = value
-    ascent.numbers["reference"] = value
-    ascent.numbers["step"] = 1.0
-    ascent.numbers["change"] = np.inf
+    zero = np.zeros(len(p))
+    ascent = Ascent(p, zero, zero, zero, np.zeros(n), start, zero, 0.0)
+    ascent.value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
+    ascent.reference = ascent.value
     return ascent
 
 
 def _ascend(rows: PolicyRows, ascent: Ascent, tolerance: float, watch: Watch) -> bool:
-    """Run or continue an ascent, until iterations hardly move its end.
+    """Propose rows, evaluate them, and accept or refuse them until the end stays.
 
-    ``tolerance`` is the share of the distance from the reference by which they may.
-    False is returned where time was over before that.
+    P_k = P(x_k),   x_{k+1} = x_k + a (G_k - x_k),   G_k the gradient of J at P_k.
+
+    ``tolerance`` is the share of the distance from the reference by which iterations
+    must move the end. An ascent that was run before goes on. False is returned where
+    time was over before the end stays; small problems have the time.
     """
-    ascent.numbers["settled"] = tolerance
-    ascent.numbers["quiet"] = 0.0
-    if len(rows.initial) <= MAX_DENSE_STATES:
-        kernels.ascend(rows, ascent)
-        return True
+    ascent.n_quiet = 0
+    is_large = len(rows.initial) > MAX_DENSE_STATES
     is_last = False
     while not is_last:
-        if watch.is_over:
+        if is_large and watch.is_over:
             return False
-        kernels.propose(rows, ascent)
-        value = _fill_values(rows, ascent.trial, ascent, WARM_SOLVE_TOLERANCE)
-        is_last = kernels.accept(ascent, value)
+        trial, reached = ascent.propose(rows)
+        value = _fill_values(rows, trial, ascent, WARM_SOLVE_TOLERANCE)
+        is_last = ascent.accept(trial, value, reached, tolerance)
     return True
 
 
 def value_of_rows(rows: PolicyRows, p: Array) -> float:
     """Return J at rows p."""
-    return rows.unit * float(_begin(rows, p).numbers["value"][0])
+    return rows.unit * _begin(rows, p).value
 
 
 def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -> float:
@@ -378,22 +549,81 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -
     share ``tolerance`` of the residual is left. J = mu V + d residual is then far more
     precise.
     """
-    values = ascent.values
-    visits = ascent.visits
-    if not rows.is_sparse:
-        return float(kernels.fill_values(rows, p, values, visits, ascent.slope))
+    if rows.n_steps:
+        return _fill_values_of_steps(rows, p, ascent)
     weights = rows.weight * p
+    n = len(rows.initial)
+    rewards = np.bincount(rows.state, weights * rows.pay, n).astype(np.float64)
+    if not rows.is_sparse:
+        shares = np.bincount(rows.cell, weights, n * n).reshape(n, n)
+        matrix = rows.identity - rows.discount * shares
+        # as numpy's solve does, but both systems by one factorisation
+        factors, pivots, _ = lapack.dgetrf(matrix, overwrite_a=True)
+        ascent.values = lapack.dgetrs(factors, pivots, rewards)[0]
+        ascent.visits = lapack.dgetrs(factors, pivots, rows.initial, trans=1)[0]
+        ascent.slope = centred_gradient(rows, ascent.values, ascent.visits)
+        return float((rows.initial * ascent.values).sum())
     share = np.bincount(rows.edge, weights)
-    rewards = np.bincount(rows.state, weights * rows.pay).astype(np.float64)
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
-    solution = solvers.answer(System(system), rewards, values, tolerance)
+    solution = solvers.answer(System(system), rewards, ascent.values, tolerance)
     # the residual, weighted by d, corrects J to second order
-    value = rows.initial @ solution.x + visits @ solution.missed
-    values[:] = solution.x
+    value = rows.initial @ solution.x + ascent.visits @ solution.missed
     transposed = System(system, True)
-    visits[:] = solvers.answer(transposed, rows.initial, visits, tolerance).x
-    kernels.fill_gradient(rows, values, visits, ascent.slope)
+    visits = solvers.answer(transposed, rows.initial, ascent.visits, tolerance).x
+    ascent.values = solution.x
+    ascent.visits = visits
+    ascent.slope = centred_gradient(rows, ascent.values, visits)
     return float(value)
+
+
+def _fill_values_of_steps(rows: PolicyRows, p: Array, ascent: Ascent) -> float:
+    """Return J at rows p with a horizon, and fill V, d and the gradient of J.
+
+    dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1}).
+    """
+    n = len(rows.initial)
+    weights = rows.weight * p
+    to_go = np.zeros((rows.n_steps + 1, n))
+    visits = np.zeros(n)
+    worth = np.zeros(len(rows.columns))
+    fill_steps(
+        rows.edges,
+        rows.columns,
+        np.bincount(rows.edge, weights, len(worth)),
+        np.bincount(rows.state, weights * rows.pay, n).astype(np.float64),
+        rows.discount,
+        to_go,
+        rows.initial.copy(),
+        np.zeros(n),
+        visits,
+        worth,
+    )
+    ascent.values = to_go[0].copy()
+    ascent.visits = visits
+    slope = rows.weight * (visits[rows.state] * rows.pay + worth[rows.edge])
+    # where the gradient says nothing of a row without data, r + gamma V does
+    starts = rows.indptr[:-1]
+    is_flat = np.maximum.reduceat(slope, starts) == np.minimum.reduceat(slope, starts)
+    is_flat &= rows.n == 0.0
+    ahead = rows.pay + rows.discount * ascent.values[rows.column]
+    ascent.slope = np.where(is_flat[rows.row], ahead, slope)
+    return float((rows.initial * ascent.values).sum())
+
+
+def centred_gradient(rows: PolicyRows, values: Array, visits: Array) -> Array:
+    """Return the gradient of J, centred in each row: the mean does not matter there.
+
+    G_i = d(s) pi(a | s) (r + gamma V(s')) less its mean under phat.
+
+    In rows without data it is r + gamma V alone, which does not vanish where the rows
+    are never reached.
+    """
+    ahead = rows.pay + rows.discount * values[rows.column]
+    rest = ahead - rows.sums(rows.phat * ahead)[rows.row]
+    size = np.maximum.reduceat(np.abs(ahead), rows.indptr[:-1])[rows.row]
+    weight = np.maximum(visits[rows.state], 0.0) * rows.weight
+    weight[rows.without_data] = 1.0
+    return np.where(np.abs(rest) > ROUNDING * size, weight * rest, 0.0)
 
 
 MAX_LINEARISATIONS = 200
@@ -402,7 +632,7 @@ MAX_LINEARISATIONS = 200
 LINEARISATION_TOLERANCE = 1e-7
 # of log c': beyond it rounding is all that the set has to give
 MAX_LOG_FORCE = 60.0
-MIN_STEP = 1e-3  # of the way to the maximiser of the linearisation
+MIN_LENGTH = 1e-3  # of the way to the maximiser of the linearisation
 
 
 def shared_directions(
@@ -510,7 +740,7 @@ def shared_ends(
             length = 1.0
             last = end
             # the set is convex: what lies between two members is one
-            while length > MIN_STEP:
+            while length > MIN_LENGTH:
                 end = value(theta + length * step)
                 if not sign * end <= sign * last:
                     break

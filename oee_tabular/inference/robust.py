@@ -188,6 +188,7 @@ def _solve_rows(
         radius,
         evidence.phat,
         v,
+        order_by_row(v, evidence.rows.spread(np.arange(len(evidence.rows)))),
         evidence.low,
         evidence.high,
         evidence.rows.indptr,
@@ -233,6 +234,11 @@ def require_end(evidence: Evidence) -> None:
         inside = smaller
 
 
+def order_by_row(v: Array, row: IntArray) -> IntArray:
+    """Return the entries in the order of their rows, the largest v of each first."""
+    return np.lexsort((-v, row))
+
+
 @njit(cache=True, error_model="numpy")
 def fill_at(eta, lam, phat, v, low, high, start, stop, out):
     """Write P(eta, lambda); return its sum, and minus the sum's derivative in eta.
@@ -254,25 +260,27 @@ def fill_at(eta, lam, phat, v, low, high, start, stop, out):
 
 
 @njit(cache=True, error_model="numpy")
-def greedy_row(v, low, high, start, stop, out):
-    """Write the maximiser without a ball; return the last v that got some mass.
+def greedy_row(order, low, high, start, stop, out):
+    """Write the maximiser without a ball; return the last entry that got some mass.
 
-    What ``low`` leaves of the mass goes to the largest v, then to the next.
+    What ``low`` leaves of the mass goes to the entries in their ``order``, the largest
+    v first (``order_by_row``).
     """
     rest = 1.0
-    eta = np.inf
+    last = -1
     for i in range(start, stop):
         out[i] = low[i]
         rest -= low[i]
-    for k in np.argsort(-v[start:stop], kind="mergesort"):
-        i = start + k
-        room = min(high[i] - low[i], rest)
-        out[i] += room
+    for k in range(start, stop):
+        last = order[k]
+        room = high[last] - low[last]
+        if room > rest:
+            room = rest
+        out[last] += room
         rest -= room
-        eta = v[i]
         if rest <= 0.0:
             break
-    return eta
+    return last
 
 
 @njit(cache=True, error_model="numpy")
@@ -374,14 +382,15 @@ def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
+def worst_row(epsilon, phat, v, order, low, high, start, stop, guess, out, spare):
     """Write the maximiser; return lambda, an upper bound on the maximum, and the KL.
 
     KL(phat || P(lambda)) = epsilon, a bracketed root in log lambda: KL falls as lambda
     grows. A KL above epsilon says that no P of the box is in the ball.
     """
     spread = v[start:stop].max() - v[start:stop].min()
-    eta = greedy_row(v, low, high, start, stop, out)
+    last = greedy_row(order, low, high, start, stop, out)
+    eta = v[last] if last >= 0 else np.inf
     kl = 0.0 if epsilon == np.inf else divergence(phat, out, start, stop)
     if kl <= epsilon:
         return 0.0, bound_above(eta, 0.0, 0.0, phat, v, low, high, start, stop), kl
@@ -430,7 +439,7 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
 
 
 @njit(cache=True, error_model="numpy")
-def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
+def worst_rows(epsilon, phat, v, order, low, high, indptr, lam, out, above, kl):
     """Solve every row's problem, max sum P v, and write P, its bounds and its KL.
 
     ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is a row without
@@ -441,5 +450,5 @@ def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
         start = indptr[k]
         stop = indptr[k + 1]
         lam[k], above[k], kl[k] = worst_row(
-            epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare
+            epsilon[k], phat, v, order, low, high, start, stop, lam[k], out, spare
         )

@@ -37,6 +37,7 @@ def solve_row(phat, v, low, high, epsilon):
         np.array([epsilon]),
         phat,
         v,
+        kernel.order_by_row(v, np.zeros(len(v), dtype=int)),
         low,
         high,
         np.array([0, len(v)]),

@@ -152,9 +152,6 @@ def sum_covariances(
         means,
         covariances,
     )
-    # of each the lower triangle was summed
-    above = np.triu_indices(d, 1)
-    covariances[:, above[0], above[1]] = covariances[:, above[1], above[0]]
     return means, covariances
 
 
@@ -162,7 +159,7 @@ def sum_covariances(
 def add_covariances(
     base, code, indptr, action, model, mass, mean, used, means, covariances
 ):
-    """Add mass E[phi] and the lower triangle of mass Cov[phi] of each row.
+    """Add mass E[phi] and mass Cov[phi] of each row, of which first the lower triangle.
 
     ``mean`` (d,), zeros, and ``used`` (d,), 0 ... d - 1, are room for one row: mass
     E[phi], and the columns that it has, first those of the base.
@@ -202,3 +199,7 @@ def add_covariances(
         for i in range(n_used):
             means[a, used[i]] += mean[used[i]]
             mean[used[i]] = 0.0
+    for a in range(len(covariances)):
+        for i in range(len(mean)):
+            for j in range(i):
+                covariances[a, j, i] = covariances[a, i, j]

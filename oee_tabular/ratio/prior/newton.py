@@ -80,9 +80,8 @@ def invert_arrow(covariances: Array, penalty: Array) -> Arrow:
     gain = covariances[:0]
     complement = covariances
     if len(own):
-        d = penalty.shape[1]
         blocks = covariances.copy()
-        blocks[:, np.arange(d), np.arange(d)] += own
+        blocks.reshape(len(own), -1)[:, :: penalty.shape[1] + 1] += own
         inverse = np.asarray(np.linalg.inv(blocks), dtype=np.float64)
         gain = inverse @ covariances
         complement = own[:, :, None] * gain
@@ -111,8 +110,10 @@ def penalized_risk(
 ) -> tuple[float, Array]:
     """Compute f and the tilt's rows, f as in the docstring of ``prior.ridge``."""
     model, log_normalizer = tilt_rows(columns, theta)
-    value = risk.mass @ log_normalizer - np.sum(risk.pulled * (theta[0] + theta[1:]))
-    value += 0.5 * np.sum(penalty * theta[: len(penalty)] ** 2)
+    free = theta[: len(penalty)]
+    value = np.vdot(risk.mass, log_normalizer)
+    value -= np.vdot(risk.pulled, theta[0] + theta[1:])
+    value += 0.5 * np.vdot(penalty * free, free)
     return float(value), model
 
 
@@ -132,8 +133,8 @@ def minimise(
     for _ in range(MAX_STEPS):
         gradient, covariances = differentiate(columns, model, risk, theta, penalty)
         step = invert_arrow(covariances, penalty).solve(gradient)
-        decrement = float(np.sum(gradient * step))
-        gap = 0.5 * float(np.sum(gradient**2 / penalty))
+        decrement = float(np.vdot(gradient, step))
+        gap = 0.5 * float(np.vdot(gradient, gradient / penalty))
         size = max(1.0, abs(value), mass)
         is_rounding = 1e-12 * size > decrement > 0.25 * last
         if not decrement > tolerance * size or is_rounding:
