@@ -4,6 +4,9 @@ numba keeps compiled code beside the package's files, or else in the user's cach
 folder, and loads it from there as pickles. Where neither can be written (a read-only
 image, a process without a home), numba raises an error. Here a temporary folder is
 used that belongs to the user alone; without one, code is compiled at each start.
+
+Where numba cannot be imported, kernels are the Python functions that they are written
+as: right, and some hundred times slower.
 """
 
 from __future__ import annotations
@@ -16,16 +19,18 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
-import numba
-from numba.core import config as numba_config
-from numba.core.registry import CPUDispatcher
-from numba.misc.appdirs import AppDirs
-
 from oee_tabular import _checks
 from oee_tabular.exceptions import CostWarning
 
 # numba makes its names at run time
-config: Any = numba_config
+config: Any = None
+CPUDispatcher: Any = object
+with contextlib.suppress(ImportError):
+    import numba
+    from numba.core.registry import CPUDispatcher
+    from numba.misc.appdirs import AppDirs
+
+    config = numba.config
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -46,6 +51,9 @@ def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compile_on_call(function: Callable[..., Any]) -> Any:
         """Return the kernel, which is compiled when it is first called."""
+        if config is None:
+            _warn_of_python()
+            return function
         kernel = numba.njit(**options)(function)
         # with NUMBA_DISABLE_JIT, it is the function
         if isinstance(kernel, CPUDispatcher):
@@ -57,10 +65,15 @@ def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     return compile_on_call
 
 
-_run = CPUDispatcher.__call__
+def n_threads() -> int:
+    """Return how many threads compiled code may use at once."""
+    return 1 if config is None else int(config.NUMBA_NUM_THREADS)
 
 
-class _Kernel(CPUDispatcher):
+_run: Any = getattr(CPUDispatcher, "__call__", None)
+
+
+class _Kernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel that passes on what a signal raises, such as Ctrl-C.
 
     A signal that comes while compiled code runs is handled as it returns. Python makes
@@ -146,6 +159,16 @@ def temporary_cache() -> str | None:
         and not found.st_mode & 0o077
     )
     return path if is_own else None
+
+
+@functools.cache
+def _warn_of_python() -> None:
+    """Warn that loops run in Python."""
+    _checks.warn(
+        "numba cannot be imported, so loops run in Python, some hundred times slower"
+        " (pip install numba)",
+        CostWarning,
+    )
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 SECONDS = 2.0  # between two looks at the step that is being done
-LONG = 2.0  # seconds of compiling after which the user is told
+SECONDS_OF_COMPILING = 4.0  # after which the user is told how far it is
 
 tell: Callable[[str], object] | None = None
 _step: str | None = None  # what is being done; None means that nobody listens
@@ -134,19 +134,29 @@ def _tell_steps(is_done: threading.Event) -> None:
 
 @functools.cache
 def announce_compiling(tell: Callable[[str], object]) -> None:
-    """Send one sentence to ``tell`` once numba has compiled for two seconds."""
-    from numba.core import event
+    """Send a sentence to ``tell`` when numba begins to compile, and others on its way."""
+    try:
+        from numba.core import event
+    except ImportError:
+        return
 
-    class Listener(event.TimingListener):
-        """A listener that adds up the time of compiling."""
+    class Listener(event.Listener):
+        """A listener that counts what was compiled."""
 
-        is_told = False
+        number = 0
+        last = 0.0
+
+        def on_start(self, happening: Any) -> None:
+            """Say what begins, once."""
+            if not self.last:
+                self.last = time.monotonic()
+                tell("compiling (about 10 s in all, once on this machine)")
 
         def on_end(self, happening: Any) -> None:
-            """Send the sentence, once."""
-            super().on_end(happening)  # type: ignore[no-untyped-call]
-            if self.done and self.duration > LONG and not self.is_told:
-                self.is_told = True
-                tell("compiling (once)")
+            """Say how far it is, every few seconds."""
+            self.number += 1
+            if time.monotonic() - self.last > SECONDS_OF_COMPILING:
+                self.last = time.monotonic()
+                tell(f"compiling: {self.number} functions so far")
 
     event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]

@@ -761,6 +761,10 @@ family(target=PAIR.target.with_initial(np.eye(30)[0]))  ->  target must have the
 family(about=" ")  ->  about must be a sentence that says what the simulator has wrong; got ' '
 family(length=2.5)  ->  length must be a positive integer; got 2.5
 PAIR.size(-1)  ->  per_row must be in [0, inf); it is -1
+PAIR.size(1e308)  ->  per_row must be at most 1.55297e+14; it is 1e+308
+oee.bench.run("simulator", families=np.ma.masked_array([1.0]))  ->  families[0] must be a text
+oee.bench.run("simulator", sizes=NotImplemented)  ->  sizes must be numbers; got NotImplementedType
+oee.testing.as_code(ITSELF)  ->  value must not be nested so deep, or hold itself
 PAIR.log(3, seed="x")  ->  seed must be what numpy.random.default_rng takes; got 'x'
 families(-1)  ->  seed must be an integer from 0; got -1
 families(0.5)  ->  seed must be an integer from 0; got 0.5

@@ -33,6 +33,8 @@ PHI = np.arange(120.0) % 7
 KEYS = np.arange(120) % 3
 HALVES = [[0.5, 0.5]] * 2
 COIN = np.full((2, 1, 2), 0.5)
+ITSELF = []
+ITSELF.append(ITSELF)
 SGD = {"solver": "sgd", "normalized": False, "lower": 0.1, "upper": 9.0}
 
 

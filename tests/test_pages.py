@@ -8,7 +8,6 @@ from pathlib import Path
 
 import nbformat
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import run_command
 
@@ -90,68 +89,6 @@ def test_pages_print_what_they_show(page, capsys):
     run(runnable(page), capsys)
 
 
-def test_the_benchmark_s_page_has_the_saved_runs_numbers():
-    page = " ".join(PAGES["benchmark"].split())
-    results = NOTEBOOKS / "results"
-    cells = pd.read_csv(results / "bench" / "cells.csv").query("estimator == 'oee'")
-    for kind, own in cells.groupby("families"):
-        means = np.exp(
-            np.log(own.set_index("size")[["ratio", "floor", "over_likelihood"]])
-            .groupby("size")
-            .mean()
-        )
-        for name, start in (
-            ("ratio", "the default over the better reference"),
-            ("floor", "the floor"),
-        ):
-            assert (
-                f"| *{kind}* families: {start} |"
-                f" {' | '.join(f'{x:.2f}' for x in means[name])} |" in page
-            )
-        *first, last = (f"{x:.2f}".lstrip("0") for x in means["over_likelihood"])
-        assert f"{kind} {', '.join(first)} and {last}" in page
-        counts = (
-            own.assign(sure=own["low"] > 1.1)
-            .groupby("size")["sure"]
-            .agg(["sum", "size"])
-        )
-        surely = " | ".join(f"{n} of {of}" for n, of in counts.itertuples(index=False))
-        assert f"| *{kind}* families: surely above 1.1 | {surely} |" in page
-        for few in (own["size"] < 2, own["size"] > 2):
-            worst = own[few & ~own["identical"]].nlargest(1, "ratio").iloc[0]
-            assert (
-                f"{worst.family} ({kind}) at {worst['size']:g} | {worst.ratio:.1f} |"
-                in page
-            )
-    grid = cells[cells["family"] == "paper_grid"]
-    assert (
-        "maximum likelihood's |"
-        f" {' | '.join(f'{x:.2f}' for x in grid['over_likelihood'])} |" in page
-    )
-    identical = cells[cells["identical"] & (cells["size"] > 2)]
-    assert f"it is at most {identical['over_likelihood'].max():.2f} from 3 on" in page
-    assert (
-        f"ratio there is up to {cells['ratio'].max():.1f} (floor_identical at 0.3"
-        in page
-    )
-    widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot_table(
-        index=["family", "size"], columns="estimator", values="width"
-    )
-    three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
-    assert f"Its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
-    logs = (
-        pd.read_csv(results / "bench_intervals" / "cells.csv")
-        .groupby("estimator")[["held", "logs"]]
-        .sum()
-    )
-    share = 100 * logs["held"] / logs["logs"]
-    assert (
-        f"covers the true value in {share['evaluate']:.0f}% of the"
-        f" {logs.logs['evaluate']:.0f} logs" in page
-    )
-    assert f"The latter covers in {share['oee']:.0f}%" in page
-
-
 def test_the_landing_page_prints_what_it_shows(capsys):
     code = next(
         block for kind, block in BLOCK.findall(PAGES["index"]) if kind == "python"
@@ -185,22 +122,6 @@ def test_names_in_the_table_of_the_paper_exist():
         found = oee
         for part in name.split("."):
             found = getattr(found, part)
-
-
-def test_the_benchmark_s_page_has_the_saved_ranking():
-    share = (
-        100
-        * pd.read_csv(NOTEBOOKS / "results" / "ranking" / "table.csv")
-        .groupby("rule")[["right", "wrong"]]
-        .mean()
-    )
-    page = " ".join(PAGES["benchmark"].split())
-    assert share.loc["contest"].round(0).tolist() == [70.0, 0.0]
-    values = (
-        f"{share.wrong[f'largest value of {name}']:.1f}%"
-        for name in ("oee", "maximum likelihood")
-    )
-    assert all(value in page for value in values)
 
 
 # ---- the README: its example prints what it shows, what it names is there, and it is

@@ -360,6 +360,10 @@ def action_set(space: Any, given: RealArrayLike | None = None) -> Array:
         levels = list(np.linspace(space.low, space.high, n).T)
     else:
         given_levels = _checks.float_array(count, "actions", ndim=(1, 2))
+        if not given_levels.size:
+            raise ArgumentError(
+                "actions", "must have a level or a command; it is empty"
+            )
         levels = [given_levels for _ in range(k)]
     n_levels = len(levels[0])
     table = np.asarray(levels[0])

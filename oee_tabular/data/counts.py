@@ -339,12 +339,14 @@ class TransitionCounts:
         ValueError
             If a state or action is outside the given numbers.
         """
-        numbers = np.zeros(
-            (
-                _checks.positive_integer(n_states, "n_states"),
-                _checks.positive_integer(n_actions, "n_actions"),
-            )
+        shape = (
+            _checks.positive_integer(n_states, "n_states"),
+            _checks.positive_integer(n_actions, "n_actions"),
         )
+        _checks.require_memory(
+            float(shape[0]) * shape[1], "n_states * n_actions", shape[0] * shape[1]
+        )
+        numbers = np.zeros(shape)
         if self.dropped is not None:
             state, action, number = self.dropped.T
             for column, values, size in (

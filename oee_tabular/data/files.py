@@ -345,7 +345,7 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
     if not some:
         raise ArgumentError("path", "must name files; it is an empty list")
     numbers = Counter(file.path for file in some)
-    again = sorted(name for name, number in numbers.items() if number > 1)
+    again = sorted(str(name) for name, number in numbers.items() if number > 1)
     if again:
         raise ArgumentError(
             "path", f"must name each file once; {again[0]!r} is named twice"

@@ -86,6 +86,11 @@ def render(
         "number": text.format_number,
         "between": text.format_interval,
         "within": text.format_value,
+        "estimate": lambda row, answer: text.format_estimate(
+            row["value"],
+            (row["lower"], row["upper"]),
+            (answer.lower, answer.upper),
+        ),
         "legible": legible,
         "share": _printing.share,
         "count": text.count,

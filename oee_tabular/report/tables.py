@@ -88,16 +88,15 @@ def estimator_columns(report: Report, *, verbose: bool) -> Columns:
 def value_columns(report: Report) -> Columns:
     """Return the columns of a value and its interval.
 
-    A value without an interval has the digits that the policy's answer has.
+    A value without an interval has no more digits than the policy's answer.
     """
     quoted = {answer.policy: (answer.lower, answer.upper) for answer in report.answers}
 
     def value(row: Row) -> str:
         """Write a value with as many digits as an interval allows."""
         ends = row["lower"], row["upper"]
-        if None in ends:
-            ends = quoted.get(row["policy"], (None, None))
-        return write_value(row["value"], *ends)
+        shown = text.format_estimate(row["value"], ends, quoted[row["policy"]])
+        return shown.replace("−", "-")
 
     return {
         "value": value,

@@ -186,6 +186,21 @@ def format_value(value: float | None, lower: float | None, upper: float | None) 
     return format(value, _printing.spec(lower, upper)).replace("-", "−")
 
 
+def format_estimate(
+    value: float | None,
+    ends: tuple[float | None, float | None],
+    quoted: tuple[float | None, float | None],
+) -> str:
+    """Write a value with as many digits as its interval has.
+
+    Without one it has no more digits than the quoted interval of its policy.
+    """
+    shown = format_value(value, *ends)
+    if None in ends:
+        shown = min(shown, format_value(value, *quoted), key=len)
+    return shown
+
+
 def format_interval(
     lower: float | None, upper: float | None, joint: str = " to "
 ) -> str:

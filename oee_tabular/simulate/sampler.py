@@ -207,8 +207,7 @@ def _run_recorded(
 
 def _run(n: int, horizon: int, options: tuple[Any, ...], path: IntArray) -> None:
     """Draw n episodes without their paths, on threads where that takes long."""
-    import numba
-
+    from oee_tabular._compiling import n_threads
     from oee_tabular.simulate._rollout import draw_episodes
 
     arguments = (*options, path)
@@ -220,7 +219,7 @@ def _run(n: int, horizon: int, options: tuple[Any, ...], path: IntArray) -> None
         """Draw the episodes from ``first`` on that a thread takes at a time."""
         draw_episodes(first, min(first + N_CHUNK_EPISODES, n), *arguments)
 
-    with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
+    with ThreadPoolExecutor(n_threads()) as pool:
         list(pool.map(draw_chunk, range(0, n, N_CHUNK_EPISODES)))
 
 

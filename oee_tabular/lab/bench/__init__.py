@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -235,7 +235,9 @@ def plan(
     limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)
-    values = [sizes] if np.isscalar(sizes) else list(cast("Iterable[float]", sizes))
+    values = (sizes,)
+    if not np.isscalar(sizes):
+        values = _checks.collection(sizes, "sizes", "numbers")
     numbers = sorted(
         {
             _checks.number_in(value, "sizes", 0.0, np.inf, open_ends=True)

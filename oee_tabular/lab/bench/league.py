@@ -401,7 +401,13 @@ class League:
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse labels that cannot be shown."""
+        """Refuse a league without estimators, and labels that cannot be shown."""
+        if "estimator" not in self.league:
+            raise ArgumentError(
+                "league",
+                "must have a column estimator; it has"
+                f" {', '.join(map(str, self.league.columns)) or 'none'}",
+            )
         check_labels(self.labels, list(self.league["estimator"].unique()))
 
     def __repr__(self) -> str:
