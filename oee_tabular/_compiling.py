@@ -25,12 +25,14 @@ from oee_tabular.exceptions import CostWarning
 # numba makes its names at run time
 config: Any = None
 CPUDispatcher: Any = object
+_run: Any = None
 with contextlib.suppress(ImportError):
     import numba
     from numba.core.registry import CPUDispatcher
     from numba.misc.appdirs import AppDirs
 
     config = numba.config
+    _run = CPUDispatcher.__call__
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -68,9 +70,6 @@ def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
 def n_threads() -> int:
     """Return how many threads compiled code may use at once."""
     return 1 if config is None else int(config.NUMBA_NUM_THREADS)
-
-
-_run: Any = getattr(CPUDispatcher, "__call__", None)
 
 
 class _Kernel(CPUDispatcher):  # type: ignore[misc]

@@ -75,7 +75,9 @@ def main(command):
         print(f"{own:7.2f} s  {name}")
     print(f"{sum(seconds.values()):7.2f} s  {len(seconds)} kernels")
     print(f"{whole:7.2f} s  the whole command, CPU")
-    print(f"{again:7.2f} s  the same again, of which {sum(left.values()):.2f} compiling")
+    print(
+        f"{again:7.2f} s  the same again, of which {sum(left.values()):.2f} compiling"
+    )
 
 
 if __name__ == "__main__":
