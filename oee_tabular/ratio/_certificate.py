@@ -22,6 +22,7 @@ from oee_tabular.typing import Array, IntArray
 
 if TYPE_CHECKING:
     from oee_tabular.ratio.dual import Box, Coordinates
+    from oee_tabular.ratio.statements import JointPoint, JointProgram
 
 
 @njit(cache=True, error_model="numpy")
@@ -132,26 +133,32 @@ def excesses(slope, p, g, lower, upper):
     return total
 
 
-@njit(cache=True, error_model="numpy")
-def joint_gaps(f, point):
-    """Compute the (rows,) gaps of a point in the program ``f`` of ``ratio.joint``.
+def joint_gaps(program: JointProgram, point: JointPoint) -> Array:
+    """Compute the (rows,) gaps of a point in the program of ``ratio.joint``.
 
     ``point`` (``statements.JointPoint``) has B, b and the multipliers. Each row's gap
     is the sum of the excesses of B and b in the Lagrangian, of |multiplier| times the
     distance from each bound of the ratio, and of the equality's.
     """
-    moves, pairs, theta, eta, xi = point
-    gaps = np.zeros(len(f.s))
+    gaps = np.empty(len(program.s))
+    fill_joint_gaps(program, *point, gaps)
+    return gaps
+
+
+@njit(cache=True, error_model="numpy")
+def fill_joint_gaps(f, moves, pairs, theta, eta, xi, gaps):
+    """Fill the gap of each row, as in ``joint_gaps``."""
     for k in range(len(gaps)):
         b = pairs[k]
         mass = 0.0
         miss = 0.0
         slope = f.r[k]
+        gap = 0.0
         # Entry by entry the excess of B, and what the ratio's bounds add.
         for x in range(f.indptr[k], f.indptr[k + 1]):
             mass += f.q[x]
             miss += f.q[x] * (moves[x] - b)
-            gaps[k] += excess(
+            gap += excess(
                 (1.0 + theta[k]) * f.q[x] - eta[x] + xi[x],
                 f.lam,
                 f.p[x],
@@ -160,12 +167,16 @@ def joint_gaps(f, point):
                 f.mu,
             )
             above = moves[x] - f.ratio_lower * b
-            gaps[k] += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
+            gap += eta[x] * abs(above)
+            if above < 0.0:
+                gap -= (f.p[x] + f.q[x]) * above
             slope += f.ratio_lower * eta[x]
-            if f.ratio_upper < np.inf:
+            if f.ratio_upper < inf:
                 below = f.ratio_upper * b - moves[x]
-                gaps[k] += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
+                gap += xi[x] * abs(below)
+                if below < 0.0:
+                    gap -= (f.p[x] + f.q[x]) * below
                 slope -= f.ratio_upper * xi[x]
-        gaps[k] += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
-        gaps[k] += equality_gap(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
-    return gaps
+        gap += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
+        gap += equality_gap(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
+        gaps[k] = gap
