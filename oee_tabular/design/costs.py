@@ -20,7 +20,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.dual import Box
-from oee_tabular.typing import Array, BoolArray, Csr
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # the probability, under R, that something else than the action happens: half of it is
 # another action, half of it no transition
@@ -62,7 +62,11 @@ def row_costs(
         row[:] = row_variances(matrix, matrix.data, gradient)
         if certain.any():
             row[certain] = largest_variances(
-                matrix.indptr, np.flatnonzero(certain), gradient, low, high
+                matrix.indptr.astype(np.int64),
+                np.flatnonzero(certain),
+                gradient,
+                low,
+                high,
             )
         of_cost = COST_TOLERANCES[0] * row.max()
         of_gradient = COST_TOLERANCES[1] * np.abs(gradient).max() ** 2
@@ -158,16 +162,12 @@ def _reference_rewards(
     return rewards
 
 
-@njit(cache=True)
-def largest_variances(indptr, rows, values, low, high):
+def largest_variances(
+    indptr: IntArray, rows: IntArray, values: Array, low: Array, high: Array
+) -> Array:
     """Compute max Var_p[v] over low <= p <= high, sum p = 1, in rows of a CSR pattern.
 
-    d Var / d mass = (y - x) (2 E v - x - y) for mass that goes from value y to value x.
-
-    A best p has what is free above ``low`` at both ends of the sorted values. All of it
-    is put at the upper end, and from there, the least value y first, to the lower end,
-    the least value x first; the derivative changes its sign once. Every row needs
-    sum low <= 1 <= sum high.
+    Every row needs sum low <= 1 <= sum high.
 
     The largest variance of v in {0, 1}, with any mass on the 1, with a mass of at most
     0.1, and with one in [0.6, 0.7]:
@@ -181,45 +181,77 @@ def largest_variances(indptr, rows, values, low, high):
     ... ).round(9)
     array([0.25, 0.09, 0.24])
     """
+    lengths = np.diff(indptr)[rows]
+    ends = np.concatenate([[0], np.cumsum(lengths)])
+    entries = np.arange(ends[-1]) + np.repeat(indptr[rows] - ends[:-1], lengths)
+    # each row's entries by their values
+    place = np.repeat(np.arange(len(rows)), lengths)
+    order = entries[np.lexsort((values[entries], place))]
+    p = low[order]
     result = np.empty(len(rows))
-    for k, row in enumerate(rows):
-        begin = indptr[row]
-        end = indptr[row + 1]
-        order = np.argsort(values[begin:end])
-        v = values[begin:end][order]
-        p = low[begin:end][order]
-        room = high[begin:end][order] - p
-        moved = np.zeros(len(order))
-        free = 1.0 - p.sum()
-        upper = len(order)
-        lower = 0
+    fill_variances(ends, values[order], p, high[order] - p, np.zeros(len(p)), result)
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def fill_variances(ends, v, p, room, moved, result):
+    """Fill the largest variance of each row ends[k]:ends[k + 1], in which v increases.
+
+    d Var / d mass = (y - x) (2 E v - x - y) for mass that goes from value y to value x.
+
+    A best p has what is free above its least at both ends of the sorted values. All of
+    it is put at the upper end, and from there, the least value y first, to the lower
+    end, the least value x first; the derivative changes its sign once. ``p`` are the
+    least probabilities, ``room`` is what may be added, and ``moved`` is 0.
+    """
+    for k in range(len(result)):
+        begin = ends[k]
+        end = ends[k + 1]
+        free = 1.0
+        for x in range(begin, end):
+            free -= p[x]
+        upper = end
+        lower = begin
         # all free mass goes to the largest values
-        while free > 0.0 and upper > 0:
+        while free > 0.0 and upper > begin:
             upper -= 1
-            moved[upper] = min(free, room[upper])
-            free -= moved[upper]
-        p, room, mean = p + moved, room - moved, np.sum((p + moved) * v)
+            mass = free if free < room[upper] else room[upper]
+            moved[upper] = mass
+            p[upper] += mass
+            room[upper] -= mass
+            free -= mass
+        mean = 0.0
+        for x in range(begin, end):
+            mean += p[x] * v[x]
         gain = 1.0
         # and from the least of these to the smallest, while that raises the variance
         while gain > 0.0:
             # mass on the entry that is being filled may stay
-            upper = max(upper, lower + 1)
-            if upper == len(order):
+            if upper <= lower:
+                upper = lower + 1
+            if upper >= end:
                 break
             distance = v[upper] - v[lower]
             gain = 2.0 * mean - v[lower] - v[upper]
-            mass = min(room[lower], moved[upper])
+            mass = moved[upper] if moved[upper] < room[lower] else room[lower]
             # the best split is inside, or has been passed
             if 2.0 * mass * distance >= gain:
-                mass = max(gain, 0.0) / max(2.0 * distance, 1e-300)
+                mass = 0.0
+                if gain > 0.0:
+                    size = 2.0 * distance
+                    mass = gain / (size if size > 1e-300 else 1e-300)
                 gain = 0.0
-            p[lower] = p[lower] + mass
-            room[lower] = room[lower] - mass
-            p[upper] = p[upper] - mass
-            room[upper] = room[upper] + mass
+            p[lower] += mass
+            room[lower] -= mass
+            p[upper] -= mass
+            room[upper] += mass
             moved[upper] -= mass
             mean -= mass * distance
-            lower = lower + (room[lower] <= 0.0)
-            upper = upper + (moved[upper] <= 0.0)
-        result[k] = np.sum(p * (v - mean) ** 2)
-    return result
+            if room[lower] <= 0.0:
+                lower += 1
+            if moved[upper] <= 0.0:
+                upper += 1
+        variance = 0.0
+        for x in range(begin, end):
+            variance += p[x] * (v[x] - mean) * (v[x] - mean)
+        result[k] = variance

@@ -34,6 +34,7 @@ off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv
 
 from __future__ import annotations
 
+from math import inf, log, log1p, sqrt
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -58,6 +59,8 @@ MAX_STALLED_SWEEPS = 8
 RESIDUAL_TOLERANCE = 1e-12  # of the largest value or reward
 # relative, and absolute: by so much the KL of counts and box may exceed the radius
 RADIUS_TOLERANCES = (1e-9, 1e-15)
+# the largest number of lambdas that a row tries
+MAX_STEPS = 200
 
 
 def independent_radius(n: Array, k: IntArray, level: float) -> Array:
@@ -194,6 +197,7 @@ def _solve_rows(
         evidence.rows.indptr,
         guesses,
         p,
+        np.empty(len(p)),
         bound,
         kl,
     )
@@ -253,8 +257,13 @@ def fill_at(eta, lam, phat, v, low, high, start, stop, out):
             out[i] = high[i]
         else:
             value = lam * phat[i] / gap
-            out[i] = min(max(value, low[i]), high[i])
-            slope += value / gap if out[i] == value else 0.0
+            if value < low[i]:
+                out[i] = low[i]
+            elif value > high[i]:
+                out[i] = high[i]
+            else:
+                out[i] = value
+                slope += value / gap
         total += out[i]
     return total, slope
 
@@ -292,18 +301,28 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
     It needs sum low <= 1 <= sum high.
     """
     least = 0.0
-    smallest = np.inf
-    largest = -np.inf
+    smallest = inf
+    largest = -inf
     for i in range(start, stop):
         least += low[i]
-        smallest = min(smallest, v[i])
-        largest = max(largest, v[i])
+        if v[i] < smallest:
+            smallest = v[i]
+        if v[i] > largest:
+            largest = v[i]
     left = smallest
-    room = max(1.0 - least, 1e-300)
-    right = largest + max(
-        lam / room,
-        1e-12 * max(abs(largest), abs(smallest), largest - smallest) + 1e-300,
-    )
+    # as far to the right as the sum needs, and more than the values' rounding
+    scale = largest - smallest
+    if abs(largest) > scale:
+        scale = abs(largest)
+    if abs(smallest) > scale:
+        scale = abs(smallest)
+    reach = 1e-12 * scale + 1e-300
+    room = 1.0 - least
+    if room < 1e-300:
+        room = 1e-300
+    if lam / room > reach:
+        reach = lam / room
+    right = largest + reach
     eta = right
     # Newton's steps, and bisections where they leave the bracket
     for _ in range(200):
@@ -323,13 +342,16 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
     # At a jump of the sum its two ends are combined, so that it is 1.
     upper, _ = fill_at(left, lam, phat, v, low, high, start, stop, out)
     lower, _ = fill_at(right, lam, phat, v, low, high, start, stop, spare)
-    share = (
-        min(max((1.0 - lower) / (upper - lower), 0.0), 1.0) if upper > lower else 0.0
-    )
+    share = 0.0
+    if upper > lower:
+        share = (1.0 - lower) / (upper - lower)
+        if share < 0.0:
+            share = 0.0
+        if share > 1.0:
+            share = 1.0
     for i in range(start, stop):
-        out[i] = (
-            spare[i] if out[i] == spare[i] else spare[i] + share * (out[i] - spare[i])
-        )
+        if out[i] != spare[i]:
+            out[i] = spare[i] + share * (out[i] - spare[i])
     return right
 
 
@@ -346,15 +368,15 @@ def divergence(phat, p, start, stop):
             # sum P = sum phat = 1: this mass is missing in the terms in u
             total += p[i]
         elif p[i] <= 0.0:
-            return np.inf
+            return inf
         else:
             u = (p[i] - phat[i]) / phat[i]
-            if abs(u) < 1e-4:
+            if -1e-4 < u < 1e-4:
                 total += phat[i] * 0.5 * u * u * (1.0 - 2.0 * u / 3.0 + 0.5 * u * u)
+            elif u < -0.5:
+                total += phat[i] * (u - log(p[i] / phat[i]))
             else:
-                total += phat[i] * (
-                    u - (np.log(p[i] / phat[i]) if u < -0.5 else np.log1p(u))
-                )
+                total += phat[i] * (u - log1p(u))
     return total
 
 
@@ -372,10 +394,14 @@ def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
         if phat[i] > 0.0 and lam > 0.0:
             best = high[i]
             if slope < 0.0:
-                best = min(max(lam * phat[i] / -slope, low[i]), high[i])
+                best = lam * phat[i] / -slope
+                if best < low[i]:
+                    best = low[i]
+                if best > high[i]:
+                    best = high[i]
             if best <= 0.0:
-                return np.inf
-            total += best * slope + lam * phat[i] * np.log(best / phat[i])
+                return inf
+            total += best * slope + lam * phat[i] * log(best / phat[i])
         else:
             total += (high[i] if slope > 0.0 else low[i]) * slope
     return total
@@ -388,64 +414,70 @@ def worst_row(epsilon, phat, v, order, low, high, start, stop, guess, out, spare
     KL(phat || P(lambda)) = epsilon, a bracketed root in log lambda: KL falls as lambda
     grows. A KL above epsilon says that no P of the box is in the ball.
     """
-    spread = v[start:stop].max() - v[start:stop].min()
     last = greedy_row(order, low, high, start, stop, out)
-    eta = v[last] if last >= 0 else np.inf
-    kl = 0.0 if epsilon == np.inf else divergence(phat, out, start, stop)
+    eta = v[last] if last >= 0 else inf
+    kl = 0.0 if epsilon == inf else divergence(phat, out, start, stop)
     if kl <= epsilon:
         return 0.0, bound_above(eta, 0.0, 0.0, phat, v, low, high, start, stop), kl
-    if spread <= 0.0:
-        # the nearest point of the box to the counts
-        row_at(1e30, phat, v, low, high, start, stop, out, spare)
-        return 0.0, v[start], divergence(phat, out, start, stop)
+    spread = v[order[start]] - v[order[stop - 1]]
     # ``near`` and ``far`` are lambdas outside and inside of the ball, ``above`` and
     # ``below`` are log(KL / epsilon) there. Steps are regula falsi in log lambda, every
     # third one a bisection.
     near = 0.0
-    far = np.inf
+    far = inf
     above = 1.0
     below = -1.0
-    lam = guess if guess > 0.0 else spread / np.sqrt(2.0 * epsilon + 1e-300)
-    for step in range(200):
-        row_at(lam, phat, v, low, high, start, stop, out, spare)
-        excess = np.log(max(divergence(phat, out, start, stop), 1e-300) / epsilon)
+    lam = guess if guess > 0.0 else spread / sqrt(2.0 * epsilon + 1e-300)
+    # without a spread it is the nearest point of the box to the counts
+    is_last = spread <= 0.0
+    if is_last:
+        lam = 1e30
+    for step in range(MAX_STEPS + 1):
+        eta = row_at(lam, phat, v, low, high, start, stop, out, spare)
+        kl = divergence(phat, out, start, stop)
+        if is_last:
+            break
+        excess = log((kl if kl > 1e-300 else 1e-300) / epsilon)
         if excess > 0.0:
             near = lam
             above = excess
         else:
             far = lam
             below = excess
-        if (
+        is_last = (
             -1e-12 < excess <= 0.0
             or far <= near * (1.0 + 1e-13)
             or far < 1e-15 * spread
             or near > 1e15 * spread
-        ):
-            break
-        if far == np.inf:
+            or step == MAX_STEPS - 1
+        )
+        if is_last:
+            lam = far if far < inf else near
+        elif far == inf:
             lam = 4.0 * near
         elif near == 0.0:
             lam = 0.25 * far
-        elif step % 3 == 2 or not above < np.inf:
-            lam = np.sqrt(near * far)
+        elif step % 3 == 2 or not above < inf:
+            lam = sqrt(near * far)
         else:  # regula falsi in log lambda, log KL
-            lam = near * (far / near) ** min(
-                max(above / (above - below), 1e-3), 1.0 - 1e-3
-            )
-    lam = far if far < np.inf else near
-    eta = row_at(lam, phat, v, low, high, start, stop, out, spare)
-    kl = divergence(phat, out, start, stop)
+            share = above / (above - below)
+            if share < 1e-3:
+                share = 1e-3
+            if share > 1.0 - 1e-3:
+                share = 1.0 - 1e-3
+            lam = near * (far / near) ** share
+    if spread <= 0.0:
+        return 0.0, v[start], kl
     return lam, bound_above(eta, lam, epsilon, phat, v, low, high, start, stop), kl
 
 
 @njit(cache=True, error_model="numpy")
-def worst_rows(epsilon, phat, v, order, low, high, indptr, lam, out, above, kl):
+def worst_rows(epsilon, phat, v, order, low, high, indptr, lam, out, spare, above, kl):
     """Solve every row's problem, max sum P v, and write P, its bounds and its KL.
 
     ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is a row without
-    data.
+    data. ``spare`` is room for the entries.
     """
-    spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):
         start = indptr[k]
         stop = indptr[k + 1]

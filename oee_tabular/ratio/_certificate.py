@@ -10,11 +10,19 @@ more than the rounding of its sum: a wrong g, a wrong multiplier and a point out
 constraints all show.
 """
 
-from math import log1p
+from __future__ import annotations
+
+from math import inf, log1p, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oee_tabular._compiling import njit
+from oee_tabular.typing import Array, IntArray
+
+if TYPE_CHECKING:
+    from oee_tabular.ratio.dual import Box, Coordinates
+    from oee_tabular.ratio.statements import JointPoint, JointProgram
 
 
 @njit(cache=True, error_model="numpy")
@@ -24,30 +32,43 @@ def excess(b, a, p, g, lower, upper):
     It is inf where there is no minimum. A g outside counts as the nearest point inside,
     plus its distance from it.
     """
-    total = max(lower - g, g - upper, 0.0)
-    g = min(max(g, lower), upper)
-    if not g < np.inf or (p > 0.0 and not g > 0.0):
-        return np.inf
+    total = 0.0
+    if g < lower:
+        total = lower - g
+        g = lower
+    elif g > upper:
+        total = g - upper
+        g = upper
+    if not g < inf or (p > 0.0 and not g > 0.0):
+        return inf
+    y = inf
     if p > 0.0 and (a > 0.0 or b > 0.0):
         # The root of a y^2 + b y = p, without cancellation.
-        size = abs(b) + np.sqrt(b * b + 4.0 * a * p)
-        y = 2.0 * p / size if b > 0.0 else 0.5 * size / a
+        root = sqrt(b * b + 4.0 * a * p)
+        y = 2.0 * p / (b + root) if b > 0.0 else 0.5 * (root - b) / a
     elif p == 0.0 and a > 0.0:
         y = -b / a
     elif p == 0.0 and b == 0.0:
         return total
-    else:
-        y = np.inf if p > 0.0 or b < 0.0 else lower
-    y = min(max(y, lower), upper)
-    if y == np.inf:
-        return np.inf
+    elif p == 0.0 and b > 0.0:
+        y = lower
+    if y < lower:
+        y = lower
+    if y > upper:
+        y = upper
+    if y == inf:
+        return inf
     step = g - y
     total += 0.5 * a * step * step
     if (y <= lower or y >= upper) and step != 0.0:
-        total += max((b + a * y - (p / y if p > 0.0 else 0.0)) * step, 0.0)
+        slope = b + a * y
+        if p > 0.0:
+            slope -= p / y
+        if not slope * step <= 0.0:
+            total += slope * step
     if p > 0.0 and step != 0.0:
         u = step / y
-        total += p * (0.5 * u * u if abs(u) < 1e-9 else u - log1p(u))
+        total += p * (0.5 * u * u if -1e-9 < u < 1e-9 else u - log1p(u))
     return total
 
 
@@ -58,33 +79,46 @@ def equality_gap(miss, multiplier, n):
     It is |multiplier| |miss|, and |miss| itself where it exceeds the sum's rounding.
     """
     size = abs(miss)
-    return abs(multiplier) * size + (size if size > 2.3e-16 * (n + 16) else 0.0)
+    gap = abs(multiplier) * size
+    if size > 2.3e-16 * (n + 16):
+        gap += size
+    return gap
 
 
-@njit(cache=True, error_model="numpy")
-def row_gaps(program, box, indptr, g, m, tied):
+def row_gaps(
+    program: Coordinates, box: Box, indptr: IntArray, g: Array, m: Array, tied: bool
+) -> Array:
     """Compute the (rows,) gaps of g with the multipliers m - 1 of sum q g = sum q.
 
     ``tied`` says whether there is this equality; without it m is 1. ``program``
     (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or (squares) sum
     q g^2 / 2 - p g + a/2 (g - c)^2, over the box.
     """
-    p, q, a, c, squares = program
-    gaps = np.zeros(len(indptr) - 1)
+    gaps = np.empty(len(indptr) - 1)
+    fill_gaps(*program, *box, indptr, g, m, tied, gaps)
+    return gaps
+
+
+@njit(cache=True, error_model="numpy")
+def fill_gaps(p, q, a, c, squares, lower, upper, indptr, g, m, tied, gaps):
+    """Fill the gap of each row, as in ``row_gaps``."""
     for k in range(len(gaps)):
         miss = 0.0
+        gap = 0.0
         for x in range(indptr[k], indptr[k + 1]):
             miss += q[x] * (g[x] - 1.0)
+            slope = m[k] * q[x]
+            curvature = a[x]
+            weight = p[x]
             if squares:
-                slope = (m[k] - 1.0) * q[x] - p[x] - a[x] * c[x]
-                gaps[k] += excess(slope, q[x] + a[x], 0.0, g[x], box.lower, box.upper)
-            else:
-                gaps[k] += excess(
-                    m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], box.lower, box.upper
-                )
+                slope = (m[k] - 1.0) * q[x] - p[x]
+                curvature += q[x]
+                weight = 0.0
+            slope -= a[x] * c[x]
+            gap += excess(slope, curvature, weight, g[x], lower, upper)
         if tied:
-            gaps[k] += equality_gap(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
-    return gaps
+            gap += equality_gap(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
+        gaps[k] = gap
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,26 +133,32 @@ def excesses(slope, p, g, lower, upper):
     return total
 
 
-@njit(cache=True, error_model="numpy")
-def joint_gaps(f, point):
-    """Compute the (rows,) gaps of a point in the program ``f`` of ``ratio.joint``.
+def joint_gaps(program: JointProgram, point: JointPoint) -> Array:
+    """Compute the (rows,) gaps of a point in the program of ``ratio.joint``.
 
     ``point`` (``statements.JointPoint``) has B, b and the multipliers. Each row's gap
     is the sum of the excesses of B and b in the Lagrangian, of |multiplier| times the
     distance from each bound of the ratio, and of the equality's.
     """
-    moves, pairs, theta, eta, xi = point
-    gaps = np.zeros(len(f.s))
+    gaps = np.empty(len(program.s))
+    fill_joint_gaps(program, *point, gaps)
+    return gaps
+
+
+@njit(cache=True, error_model="numpy")
+def fill_joint_gaps(f, moves, pairs, theta, eta, xi, gaps):
+    """Fill the gap of each row, as in ``joint_gaps``."""
     for k in range(len(gaps)):
         b = pairs[k]
         mass = 0.0
         miss = 0.0
         slope = f.r[k]
+        gap = 0.0
         # Entry by entry the excess of B, and what the ratio's bounds add.
         for x in range(f.indptr[k], f.indptr[k + 1]):
             mass += f.q[x]
             miss += f.q[x] * (moves[x] - b)
-            gaps[k] += excess(
+            gap += excess(
                 (1.0 + theta[k]) * f.q[x] - eta[x] + xi[x],
                 f.lam,
                 f.p[x],
@@ -127,12 +167,16 @@ def joint_gaps(f, point):
                 f.mu,
             )
             above = moves[x] - f.ratio_lower * b
-            gaps[k] += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
+            gap += eta[x] * abs(above)
+            if above < 0.0:
+                gap -= (f.p[x] + f.q[x]) * above
             slope += f.ratio_lower * eta[x]
-            if f.ratio_upper < np.inf:
+            if f.ratio_upper < inf:
                 below = f.ratio_upper * b - moves[x]
-                gaps[k] += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
+                gap += xi[x] * abs(below)
+                if below < 0.0:
+                    gap -= (f.p[x] + f.q[x]) * below
                 slope -= f.ratio_upper * xi[x]
-        gaps[k] += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
-        gaps[k] += equality_gap(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
-    return gaps
+        gap += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
+        gap += equality_gap(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
+        gaps[k] = gap

@@ -15,7 +15,8 @@ are those of the program as stated (``_certificate``).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from math import copysign, inf, isfinite, isnan, nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -178,14 +179,16 @@ def solve_rows(
     rows = indptr.astype(np.int64)
     m = np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
-    fill_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
+    fill_rows(*program.kernel_form(lower, upper), rows, ratio, below, above, m)
     gaps = row_gaps(program, ratio, m, lower, upper, rows)
     return RowSolution(ratio, m, gaps, below, above)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """Compute the minimiser without the equality, in closed form."""
-    return np.asarray(fill_free(program.kernel_form(lower, upper)))
+    g = np.empty(len(program.p))
+    fill_free(*program.kernel_form(lower, upper), g)
+    return g
 
 
 def row_gaps(
@@ -204,9 +207,7 @@ def row_gaps(
     """
     multiplier = np.ones(len(indptr) - 1) if m is None else m
     box = Box(float(lower), float(upper))
-    return np.asarray(
-        _certificate.row_gaps(program, box, indptr, g, multiplier, m is not None)
-    )
+    return _certificate.row_gaps(program, box, indptr, g, multiplier, m is not None)
 
 
 def objective(g: Array, program: Coordinates) -> float:
@@ -226,10 +227,10 @@ N_STEPS = 4000
 class Form(NamedTuple):
     """The arrays (entries,) of a program as the kernels read it, and its box."""
 
-    p: Any
-    q: Any
-    a: Any
-    pull: Any
+    p: Array
+    q: Array
+    a: Array
+    pull: Array
     lower: float
     upper: float
 
@@ -240,58 +241,49 @@ def coordinate(b, a, p, lower, upper):
 
     It is ``lower`` where every point is one.
     """
+    g = inf
     if p > 0.0:
         if a > 0.0:
-            root = np.sqrt(b * b + 4.0 * a * p)
+            root = sqrt(b * b + 4.0 * a * p)
             g = 2.0 * p / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
         elif b > 0.0:
             g = p / b
-        else:
-            g = np.inf
     elif b >= 0.0:
         g = 0.0
     elif a > 0.0:
         g = -b / a
-    else:
-        g = np.inf
-    return min(max(g, lower), upper)
+    if g < lower:
+        g = lower
+    if g > upper:
+        g = upper
+    return g
 
 
 @njit(cache=True, error_model="numpy")
-def minimiser(m, form, x):
-    """Return g_x(m) = argmin of (q_x m - pull_x) g - p_x log g + a_x/2 g^2."""
-    return coordinate(
-        form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper
-    )
-
-
-# Rows are short, so that a call would cost as much as its loop.
-@njit(cache=True, error_model="numpy", inline="always")
-def fill_row(m, form, low, high, g):
+def fill_row(m, p, q, a, pull, lower, upper, low, high, g):
     """Fill g_x(m) for the entries low..high; return sum q (g - 1) and minus its slope.
 
-    The slope is d/dm sum q g_x(m) = - sum q^2 / (p / g^2 + a) over entries inside the
-    box.
+    g_x(m) = argmin of (q_x m - pull_x) g - p_x log g + a_x/2 g^2. The slope is d/dm
+    sum q g_x(m) = - sum q^2 / (p / g^2 + a) over entries inside the box.
     """
     miss = 0.0
     slope = 0.0
     for x in range(low, high):
-        q = form.q[x]
-        value = minimiser(m, form, x)
+        value = coordinate(q[x] * m - pull[x], a[x], p[x], lower, upper)
         g[x] = value
-        if q > 0.0:
-            miss += q * (value - 1.0)
-            if form.lower < value < form.upper:
+        if q[x] > 0.0:
+            miss += q[x] * (value - 1.0)
+            if lower < value < upper:
                 # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
-                mass = q * value
-                curvature = form.p[x] + form.a[x] * value * value
+                mass = q[x] * value
+                curvature = p[x] + a[x] * value * value
                 if curvature > 0.0:
                     slope += mass * (mass / curvature)
     return miss, slope
 
 
 @njit(cache=True, error_model="numpy")
-def solve_row(form, low, high, g, below, above):
+def solve_row(p, q, a, pull, lower, upper, low, high, g, below, above):
     """Solve one row into ``g`` between ``below`` and ``above``; return m.
 
     The root of sum q (g_x(m) - 1) = 0, with g at the two ends of m's bracket in
@@ -303,51 +295,60 @@ def solve_row(form, low, high, g, below, above):
     """
     mass = 0.0
     curved = False
+    pulled = False
     for x in range(low, high):
-        if form.q[x] > 0.0:
-            mass += form.p[x]
-            curved = curved or form.a[x] > 0.0
+        if q[x] > 0.0:
+            mass += p[x]
+            if a[x] > 0.0:
+                curved = True
+        if pull[x] != 0.0:
+            pulled = True
     # Every feasible g is a minimiser.
-    if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():
+    if mass == 0.0 and not curved and low < high and not pulled:
+        fill_row(0.0, p, q, a, pull, lower, upper, low, high, g)
         for x in range(low, high):
-            g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
-        below[low:high] = g[low:high]
-        above[low:high] = g[low:high]
+            if q[x] > 0.0:
+                g[x] = 1.0
+            below[x] = g[x]
+            above[x] = g[x]
         return 0.0
-    left = -np.inf
-    right = np.inf
+    left = -inf
+    right = inf
     # Without a bound sum q g >= mass / m; with one all entries are at it once m < 0.
     if not curved:
-        left = mass if form.upper == np.inf else -TINY
+        left = mass if upper == inf else -TINY
     # Newton's method within the bracket, until it is as narrow as rounding.
     m = 1.0
     width = 1.0
     reach = ROUNDING
     for step in range(1, N_STEPS):
-        miss, slope = fill_row(m, form, low, high, g)
+        miss, slope = fill_row(m, p, q, a, pull, lower, upper, low, high, g)
         if miss == 0.0:
-            below[low:high] = g[low:high]
-            above[low:high] = g[low:high]
+            for x in range(low, high):
+                below[x] = g[x]
+                above[x] = g[x]
             return m
         # Numbers that double precision does not hold.
-        if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):
-            g[low:high] = np.nan
-            return np.nan
+        if isnan(miss) or (curved and not isfinite(miss + slope)):
+            for x in range(low, high):
+                g[x] = nan
+            return nan
         if miss > 0.0:
             left = m
         else:
             right = m
-        if right - left <= max(4.0 * reach * abs(m), TINY):
+        limit = 4.0 * reach * abs(m)
+        if right - left <= limit or right - left <= TINY:
             break
-        share = miss / (slope * m) if slope > 0.0 else np.nan
+        share = miss / (slope * m) if slope > 0.0 else nan
         trial = m / (1.0 - share) if not curved and share < 0.5 else m * (1.0 + share)
         if abs(share) <= 1e-10:
-            trial += np.copysign(reach * m, miss)
+            trial += copysign(reach * m, miss)
             reach *= 2.0
         if not left < trial < right or step % 16 == 0:
             # g has no bound as m falls, or reaches its bounds as it rises.
-            if right == np.inf or left == -np.inf:
-                trial = left + width if right == np.inf else right - width
+            if right == inf or left == -inf:
+                trial = left + width if right == inf else right - width
                 width *= 2.0
             else:
                 trial = 0.0 if left < 0.0 < right else 0.5 * (left + right)
@@ -355,33 +356,33 @@ def solve_row(form, low, high, g, below, above):
                 break
         m = trial
     # The convex combination of the two ends that meets the equality.
-    at_left = fill_row(left, form, low, high, above)[0]
-    at_right = fill_row(right, form, low, high, below)[0]
-    share = (
-        min(max(-at_right / (at_left - at_right), 0.0), 1.0)
-        if at_left > at_right
-        else 1.0
-    )
+    at_left = fill_row(left, p, q, a, pull, lower, upper, low, high, above)[0]
+    at_right = fill_row(right, p, q, a, pull, lower, upper, low, high, below)[0]
+    share = 1.0
+    if at_left > at_right:
+        share = -at_right / (at_left - at_right)
+        if share < 0.0:
+            share = 0.0
+        if share > 1.0:
+            share = 1.0
     for x in range(low, high):
-        g[x] = (
-            below[x] + share * (above[x] - below[x])
-            if above[x] > below[x]
-            else above[x]
-        )
+        g[x] = above[x]
+        if above[x] > below[x]:
+            g[x] = below[x] + share * (above[x] - below[x])
     return left if share >= 0.5 else right
 
 
 @njit(cache=True, error_model="numpy")
-def fill_rows(form, indptr, g, below, above, m):
+def fill_rows(p, q, a, pull, lower, upper, indptr, g, below, above, m):
     """Solve every row by itself: fill the ratios, their enclosure, and each row's m."""
     for k in range(len(m)):
-        m[k] = solve_row(form, indptr[k], indptr[k + 1], g, below, above)
+        m[k] = solve_row(
+            p, q, a, pull, lower, upper, indptr[k], indptr[k + 1], g, below, above
+        )
 
 
 @njit(cache=True, error_model="numpy")
-def fill_free(form):
-    """Compute the minimiser without the equality, g_x(1)."""
-    g = np.empty(len(form.p))
+def fill_free(p, q, a, pull, lower, upper, g):
+    """Fill the minimisers without the equality, g_x(1)."""
     for x in range(len(g)):
-        g[x] = minimiser(1.0, form, x)
-    return g
+        g[x] = coordinate(q[x] - pull[x], a[x], p[x], lower, upper)

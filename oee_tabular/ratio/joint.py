@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import copysign, inf, nan
 from typing import ClassVar
 
 import numpy as np
@@ -149,7 +150,7 @@ class Joint(Method):
                 f" unbounded at {int(lost.sum())} of them",
             )
         if self.solver == "dual":
-            point = JointPoint(*solve_all(program))
+            point = solve_program(program)
             gap = float(_certificate.joint_gaps(program, point).sum())
         else:
             point = statements.solve_joint(program, solver=self.solver)
@@ -191,16 +192,23 @@ def fill_moves(b, theta, f, k, moves):
     b), min(mu, ratio_upper b)]. The slope is (1 - theta) r - s / b + lam b plus, for
     each B_x at a bound that moves with b, that bound's factor times dL/dB_x.
     """
-    lower = max(f.nu, f.ratio_lower * b)
-    upper = min(f.mu, f.ratio_upper * b)
+    lower = f.ratio_lower * b
+    if not lower > f.nu:
+        lower = f.nu
+    upper = f.ratio_upper * b
+    if not upper < f.mu:
+        upper = f.mu
     slope = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
     for x in range(f.indptr[k], f.indptr[k + 1]):
         g = coordinate((1.0 + theta) * f.q[x], f.lam, f.p[x], lower, upper)
         moves[x] = g
-        if g <= lower and lower > f.nu:
-            slope += f.ratio_lower * max(slope_at(x, theta, f, g), 0.0)
-        elif g >= upper and upper < f.mu:
-            slope += f.ratio_upper * min(slope_at(x, theta, f, g), 0.0)
+        at_lower = g <= lower and lower > f.nu
+        if at_lower or (g >= upper and upper < f.mu):
+            own = slope_at(x, theta, f, g)
+            if at_lower and own > 0.0:
+                slope += f.ratio_lower * own
+            elif not at_lower and own < 0.0:
+                slope += f.ratio_upper * own
     return slope
 
 
@@ -212,15 +220,19 @@ def minimise(theta, f, k, moves):
     ``fill_moves``, or has a closed form where no bound moves with it.
     """
     b = coordinate(f.r[k] - theta * f.r[k], f.lam, f.s[k], f.nu, f.mu)
-    if f.ratio_lower > 0.0 or f.ratio_upper < np.inf:
+    if f.ratio_lower > 0.0 or f.ratio_upper < inf:
         # The root of an increasing slope: secant steps within a bracket, halved at
         # every third step, doubled where the bracket has no end yet.
         left = f.nu
         right = f.mu
-        at_left = np.nan
-        at_right = np.nan
+        at_left = nan
+        at_right = nan
         step = 0
-        b = min(max(1.0, f.nu), f.mu)
+        b = 1.0
+        if b < f.nu:
+            b = f.nu
+        if b > f.mu:
+            b = f.mu
         while 1e-300 < b < 1e300:
             slope = fill_moves(b, theta, f, k, moves)
             if slope > 0.0:
@@ -231,7 +243,7 @@ def minimise(theta, f, k, moves):
                 at_left = slope
             b = (left * at_right - right * at_left) / (at_right - at_left)
             step += 1
-            if left == 0.0 or right == np.inf:
+            if left == 0.0 or right == inf:
                 b = 0.5 * right if left == 0.0 else 2.0 * left
             elif not left < b < right or step % 3 == 0:
                 b = left + 0.5 * (right - left)
@@ -254,9 +266,9 @@ def solve(f, k, moves, at_left, at_right):
     b, phi = minimise(0.0, f, k, moves)
     n = f.indptr[k + 1] - f.indptr[k]
     # The two sums are equal up to their own rounding.
-    if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:
+    if b < inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:
         return b, 0.0
-    side = np.sign(phi)
+    side = copysign(1.0, phi)
     left = 0.0
     right = 0.0
     width = 0.5
@@ -277,7 +289,7 @@ def solve(f, k, moves, at_left, at_right):
     # The weight of the right end.
     share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0
     if not 0.0 <= share <= 1.0:
-        share = 0.0 if phi_left < np.inf else 1.0
+        share = 0.0 if phi_left < inf else 1.0
     b = (
         b_left
         if b_left == b_right or share == 0.0
@@ -327,7 +339,13 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
             rest += pull
         else:
             loose += pull
-    share = min(max(-rest / loose, 0.0), 1.0) if loose != 0.0 else 0.0
+    share = 0.0
+    if loose != 0.0:
+        share = -rest / loose
+        if share < 0.0:
+            share = 0.0
+        if share > 1.0:
+            share = 1.0
     for x in range(f.indptr[k], f.indptr[k + 1]):
         if not moving_lower:
             eta[x] *= share
@@ -335,19 +353,18 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
             xi[x] *= share
 
 
+def solve_program(program: JointProgram) -> JointPoint:
+    """Solve each (s, a) of the program."""
+    moves, at_left, at_right = np.empty((3, len(program.p)))
+    eta, xi = np.zeros((2, len(program.p)))
+    b, theta = np.empty((2, len(program.s)))
+    solve_all(program, moves, b, theta, eta, xi, at_left, at_right)
+    return JointPoint(moves, b, theta, eta, xi)
+
+
 @njit(cache=True, error_model="numpy")
-def solve_all(f):
-    """Solve each (s, a) of the program ``f``; return B, b, theta, eta and xi."""
-    n = len(f.p)
-    n_rows = len(f.s)
-    moves = np.empty(n)
-    eta = np.zeros(n)
-    xi = np.zeros(n)
-    at_left = np.empty(n)
-    at_right = np.empty(n)
-    b = np.empty(n_rows)
-    theta = np.empty(n_rows)
-    for k in range(n_rows):
+def solve_all(f, moves, b, theta, eta, xi, at_left, at_right):
+    """Fill B, b, theta, eta and xi of each (s, a); the last two are room for B."""
+    for k in range(len(b)):
         b[k], theta[k] = solve(f, k, moves, at_left, at_right)
         fill_multipliers(b[k], theta[k], f, k, moves, eta, xi)
-    return moves, b, theta, eta, xi

@@ -43,6 +43,7 @@ def solve_row(phat, v, low, high, epsilon):
         np.array([0, len(v)]),
         lam,
         out,
+        np.empty(len(v)),
         above,
         kl,
     )

@@ -180,8 +180,8 @@ def test_corrupted_rows_are_found_out(monkeypatch, ridge):
     """A kernel that leaves one entry of one row half a percent off."""
     solve = importlib.import_module("oee_tabular.ratio.dual").fill_rows
 
-    def wrong(form, indptr, g, *rest):
-        solve(form, indptr, g, *rest)
+    def wrong(p, q, a, pull, lower, upper, indptr, g, *rest):
+        solve(p, q, a, pull, lower, upper, indptr, g, *rest)
         g[7] *= 1.005
 
     options = {

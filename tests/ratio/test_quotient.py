@@ -287,7 +287,7 @@ def test_against_clarabel(seed):
 @pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
 @pytest.mark.parametrize("part", range(3), ids=["moves", "pairs", "theta"])
 def test_a_corrupted_joint_solver_is_found_out_in_every_row(monkeypatch, bounds, part):
-    solve = importlib.import_module("oee_tabular.ratio.joint").solve_all
+    solve = importlib.import_module("oee_tabular.ratio.joint").solve_program
 
     def gap_of(*places):
         def wrong(program):
@@ -296,7 +296,7 @@ def test_a_corrupted_joint_solver_is_found_out_in_every_row(monkeypatch, bounds,
                 parts[part][place] = 1.01 * parts[part][place] + 0.01
             return parts
 
-        monkeypatch.setattr("oee_tabular.ratio.joint.solve_all", wrong)
+        monkeypatch.setattr("oee_tabular.ratio.joint.solve_program", wrong)
         return oee.transition_ratio(GRID_LOG, GRID, **KNOWN, **bounds).gap
 
     assert gap_of(3) > 1e-7
