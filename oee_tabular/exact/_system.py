@@ -31,7 +31,11 @@ def add_entry(columns, values, place, begin, filled, column, value):
 
 
 def average_rows(
-    rows: tuple[Any, Any, Array], policy: Array, states: Any, number: Any, n_entries: int
+    rows: tuple[Any, Any, Array],
+    policy: Array,
+    states: Any,
+    number: Any,
+    n_entries: int,
 ) -> tuple[Any, Any, Array]:
     """Compute P_pi(s' | s) = sum_a policy[s, a] K(s' | s, a) as CSR without zeros.
 
@@ -213,36 +217,32 @@ def residual(
     ``n_roundings`` more in the kernel itself. The bound is on the largest magnitude
     with its rounding, transposed on the sum of them.
     """
-    # the rows of a transposed kernel are its columns, whose sums are scattered
-    missed, size, count = np.zeros((3, len(b)))
-    # a view of b that is read-only, so that the loop is compiled for one kind of array
-    given = b.view()
-    given.flags.writeable = False
+    missed = np.array(b)
+    room = np.zeros((3, len(b)))
     return Residual(
-        missed,
-        *fill_residual(*kernel, transpose, given, x, n_roundings, missed, size, count),
+        missed, *subtract_product(*kernel, transpose, x, n_roundings, missed, room)
     )
 
 
 @njit(cache=True)
-def fill_residual(
-    indptr, indices, data, discount, transpose, b, x, n_roundings, missed, size, count
+def subtract_product(
+    indptr, indices, data, discount, transpose, x, n_roundings, missed, room
 ):
-    """Write b - M x into ``missed``, and return what ``residual`` says about it.
+    """Subtract M x from ``missed``, and return what ``residual`` says about it.
 
-    ``missed``, ``size`` and ``count`` begin as zeros.
+    ``room`` (3, S), zeros, takes K x, the sums of the magnitudes of its terms, and
+    their numbers.
     """
-    n = len(b)
-    # K x, the sums of the magnitudes of its terms, and their numbers
+    n = len(missed)
     for i in range(n):
         if transpose:
             own = x[i]
             for k in range(indptr[i], indptr[i + 1]):
                 j = indices[k]
                 term = data[k] * own
-                missed[j] += term
-                size[j] += abs(term)
-                count[j] += 1.0
+                room[0, j] += term
+                room[1, j] += abs(term)
+                room[2, j] += 1.0
         else:
             total = 0.0
             magnitude = 0.0
@@ -250,17 +250,17 @@ def fill_residual(
                 term = data[k] * x[indices[k]]
                 total += term
                 magnitude += abs(term)
-            missed[i] = total
-            size[i] = magnitude
-            count[i] = np.float64(indptr[i + 1] - indptr[i])
+            room[0, i] = total
+            room[1, i] = magnitude
+            room[2, i] = np.float64(indptr[i + 1] - indptr[i])
     largest = 0.0
     bound = 0.0
     rounding = 0.0
     # b - M x, and a bound on its rounding
     for i in range(n):
-        missed[i] = b[i] + (discount * missed[i] - x[i])
-        scale = discount * size[i] + abs(x[i]) + abs(b[i])
-        here = 0.5 * EPS * (1.0 + 1e-9) * (count[i] + 4.0 + n_roundings) * scale
+        scale = discount * room[1, i] + abs(x[i]) + abs(missed[i])
+        missed[i] += discount * room[0, i] - x[i]
+        here = 0.5 * EPS * (1.0 + 1e-9) * (room[2, i] + 4.0 + n_roundings) * scale
         value = abs(missed[i])
         if not value <= largest:  # nan as well
             largest = value

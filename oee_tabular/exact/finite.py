@@ -131,7 +131,7 @@ def initial_mean(model: Model, values: Array) -> float:
 
     The values of the other states may be infinite.
     """
-    return float(dot(as_readonly(model.initial), values, len(values)))
+    return float(dot(model.initial, values, len(values)))
 
 
 def visits(model: Model, policy: Array, horizon: int) -> Array:
@@ -423,22 +423,26 @@ def reach_forward(
 def add_visits(indptr, indices, data, gamma, ends, here, there, total):
     """Add sum_{t<T} gamma^t d_t to ``total``, d_{t+1} = K^T d_t, d_0 = ``here``.
 
-    d_t is read and written in the first ends[t] states, which t transitions reach.
+    d_t is read in the first ends[t] states, which t transitions reach. ``there`` begins
+    with zeros.
     """
+    one = np.uint64(1)
     weight = 1.0
-    for t in range(len(ends)):
-        for i in range(ends[t]):
-            total[i] += weight * here[i]
-        if t + 1 == len(ends):
-            break
-        for i in range(ends[t + 1]):
-            there[i] = 0.0
-        for i in range(ends[t]):
+    for t in range(len(ends) - 1):
+        x = np.uint64(0)
+        for i in range(np.uint64(ends[t])):
             own = here[i]
-            for k in range(indptr[i], indptr[i + 1]):
-                there[indices[k]] += data[k] * own
+            total[i] += weight * own
+            # zero again for the step after next
+            here[i] = 0.0
+            end = np.uint64(indptr[i + one])
+            while x < end:
+                there[indices[x]] += data[x] * own
+                x += one
         here, there = there, here
         weight *= gamma
+    for i in range(len(total)):
+        total[i] += weight * here[i]
 
 
 @njit(cache=True)

@@ -53,8 +53,8 @@ class LAPACK:
     def prepare(self, system: System) -> Solve:
         """Factorise the dense matrix; a singular system is given up."""
         # the transposed matrix is in Fortran's order, so that LAPACK copies nothing
-        matrix = np.eye(system.n_states)
-        subtract_kernel(*system.kernel, matrix)
+        matrix = np.zeros((system.n_states, system.n_states))
+        fill_matrix(*system.kernel, matrix)
         matrix = matrix.T
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
@@ -69,9 +69,10 @@ class LAPACK:
 
 
 @njit(cache=True)
-def subtract_kernel(indptr, indices, data, discount, matrix):
-    """Subtract discount K from a dense matrix (S, S)."""
+def fill_matrix(indptr, indices, data, discount, matrix):
+    """Add I - discount K to a dense matrix (S, S)."""
     for i in range(len(indptr) - 1):
+        matrix[i, i] += 1.0
         for k in range(indptr[i], indptr[i + 1]):
             matrix[i, indices[k]] -= discount * data[k]
 
