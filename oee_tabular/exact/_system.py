@@ -4,9 +4,14 @@ The graph is searched for a breadth-first order, for whether it expands, and for
 elimination fills, before anything is solved.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from oee_tabular._compiling import njit
+from oee_tabular.typing import Array
+
+EPS = float(np.finfo(float).eps)
 
 
 @njit(cache=True)
@@ -25,30 +30,49 @@ def add_entry(columns, values, place, begin, filled, column, value):
     return filled + np.uint64(1)
 
 
-@njit(cache=True)
-def average_rows(rows, policy, states, number, columns, values):
+def average_rows(
+    rows: tuple[Any, Any, Array],
+    policy: Array,
+    states: Any,
+    number: Any,
+    n_entries: int,
+) -> tuple[Any, Any, Array]:
     """Compute P_pi(s' | s) = sum_a policy[s, a] K(s' | s, a) as CSR without zeros.
 
     A row's entries stand in the order in which its actions have them. ``states`` are
     the states whose rows are made, and ``number`` has 1 + the new number of each state
-    that follows; if they are empty, all rows are made. ``columns`` (uint32) and
-    ``values`` have room for all entries, in numpy's memory, whose large pages save
-    time.
+    that follows; if they are empty, all rows are made. These have up to ``n_entries``
+    entries.
     """
-    indptr, indices, data = rows
-    n_rows = len(policy)
-    n_columns = len(policy)
-    n_actions = policy.shape[1]
-    is_part = len(number) > 0
-    if is_part:
+    n_rows = n_columns = len(policy)
+    if len(number):
         n_rows = len(states)
-        n_columns = min(len(number), len(states) + len(columns))
+        n_columns = min(len(number), len(states) + n_entries)
+    # in numpy's memory, whose large pages save time
+    columns = np.empty(n_entries, dtype=np.uint32)
+    values = np.empty(n_entries)
     starts = np.zeros(n_rows + 1, dtype=np.uint32)
     place = np.zeros(n_columns, dtype=np.uint32)
+    filled = fill_rows(*rows, policy, states, number, place, starts, columns, values)
+    return starts, columns[:filled], values[:filled]
+
+
+@njit(cache=True)
+def fill_rows(
+    indptr, indices, data, policy, states, number, place, starts, columns, values
+):
+    """Write the rows of ``average_rows``, and return how many entries they have.
+
+    ``place`` and ``starts`` begin as zeros.
+    """
+    n_actions = policy.shape[1]
+    is_part = len(number) > 0
     filled = np.uint64(0)
-    for i in range(n_rows):
+    for i in range(len(starts) - 1):
         begin = filled
-        state = np.int64(states[i]) if is_part else i
+        state = np.int64(i)
+        if is_part:
+            state = np.int64(states[i])
         # the rows of the actions that are taken, merged by their columns
         for action in range(n_actions):
             weight = policy[state, action]
@@ -56,24 +80,30 @@ def average_rows(rows, policy, states, number, columns, values):
                 continue
             row = np.uint64(state * n_actions + action)
             for k in range(indptr[row], indptr[row + np.uint64(1)]):
-                if weight * data[k] != 0.0:
-                    column = (
-                        number[indices[k]] - np.uint32(1) if is_part else indices[k]
-                    )
+                share = weight * data[k]
+                if share != 0.0:
+                    column = np.uint64(indices[k])
+                    if is_part:
+                        column = np.uint64(number[column]) - np.uint64(1)
                     filled = add_entry(
-                        columns, values, place, begin, filled, column, weight * data[k]
+                        columns, values, place, begin, filled, column, share
                     )
         starts[i + 1] = filled
-    return starts, columns[:filled], values[:filled]
+    return filled
 
 
-@njit(cache=True)
-def average_rewards(policy, rewards):
+def average_rewards(policy: Array, rewards: Array) -> tuple[Array, float]:
     """Compute r_pi(s) = sum_a policy[s, a] r(s, a), and the scale of its rounding.
 
     The scale is the largest sum of the magnitudes.
     """
     total = np.zeros(len(policy))
+    return total, add_rewards(policy, rewards, total)
+
+
+@njit(cache=True)
+def add_rewards(policy, rewards, total):
+    """Add sum_a policy[s, a] r(s, a) to ``total``; return the largest sum of sizes."""
     largest = 0.0
     for state in range(len(policy)):
         size = 0.0
@@ -81,31 +111,48 @@ def average_rewards(policy, rewards):
             term = policy[state, action] * rewards[state, action]
             total[state] += term
             size += abs(term)
-        largest = max(largest, size)
-    return total, largest
+        if size > largest:
+            largest = size
+    return largest
 
 
-@njit(cache=True)
-def largest_magnitude(numbers):
+def largest_magnitude(numbers: Array) -> float:
     """Return the largest absolute value, 0 of nothing.
 
     numpy needs several passes, which problems of few states feel.
     """
-    largest = 0.0
-    for i in range(len(numbers)):
-        if not abs(numbers[i]) <= largest:  # nan as well
-            largest = abs(numbers[i])
-    return largest
+    flat = np.ascontiguousarray(numbers).reshape(-1)
+    # this view is read-only, so that the loop is compiled for one kind of array
+    flat.flags.writeable = False
+    return float(largest_of(flat))
 
 
 @njit(cache=True)
-def range_of_sums(kernel, n_roundings):
+def largest_of(numbers):
+    """Return the largest absolute value, 0 of nothing."""
+    largest = 0.0
+    for i in range(len(numbers)):
+        size = abs(numbers[i])
+        if not size <= largest:  # nan as well
+            largest = size
+    return largest
+
+
+def range_of_sums(
+    indptr: Any, data: Array, n_roundings: int
+) -> tuple[float, float, float]:
     """Return the smallest row sum, the largest, and the middle of the two.
 
     The largest includes its rounding and ``n_roundings`` in each entry.
     """
-    indptr = kernel.indptr
-    data = kernel.data
+    smallest, largest, entries = sum_rows(indptr, data)
+    rounded = largest * (1.0 + (entries + n_roundings) * EPS)
+    return smallest, rounded, 0.5 * (smallest + largest)
+
+
+@njit(cache=True)
+def sum_rows(indptr, data):
+    """Return the smallest row sum, the largest, and the most entries of a row."""
     smallest = np.inf
     largest = 0.0
     entries = np.uint32(0)
@@ -113,24 +160,24 @@ def range_of_sums(kernel, n_roundings):
         total = 0.0
         for k in range(indptr[i], indptr[i + 1]):
             total += data[k]
-        smallest = min(smallest, total)
-        largest = max(largest, total)
-        entries = max(entries, indptr[i + 1] - indptr[i])
-    rounded = largest * (
-        1.0 + (np.float64(entries) + n_roundings) * np.finfo(np.float64).eps
-    )
-    return smallest, rounded, 0.5 * (smallest + largest)
+        if total < smallest:
+            smallest = total
+        if total > largest:
+            largest = total
+        if indptr[i + 1] - indptr[i] > entries:
+            entries = indptr[i + 1] - indptr[i]
+    return smallest, largest, entries
 
 
 @njit(cache=True)
-def multiply(kernel, transpose, x, out):
+def multiply(indptr, indices, data, transpose, x, out):
     """Compute out = K x, or K^T x by scattering.
 
     Scattering is not held up by rows of uneven length.
     """
-    indptr, indices, data, _ = kernel
     if transpose:
-        out[:] = 0.0
+        for i in range(len(out)):
+            out[i] = 0.0
     for i in range(len(indptr) - 1):
         total = 0.0
         own = x[i] if transpose else 0.0
@@ -143,56 +190,77 @@ def multiply(kernel, transpose, x, out):
             out[i] = total
 
 
-@njit(cache=True)
-def residual(kernel, transpose, b, x, n_roundings):
+class Residual(NamedTuple):
+    """The residual b - M x, its largest magnitude, a bound, and the largest rounding.
+
+    The bound is on the largest magnitude of the exact residual; transposed, on the sum.
+    """
+
+    missed: Array
+    largest: float
+    bound: float
+    rounding: float
+
+
+def residual(
+    kernel: tuple[Any, Any, Array, float],
+    transpose: bool,
+    b: Array,
+    x: Array,
+    n_roundings: float,
+) -> Residual:
     """Compute the residual b - M x and bounds on it.
 
     M = I - discount K, or its transpose.
 
-    Returns the residual, its largest magnitude, a bound on the exact one, and the
-    largest rounding. Each term of an entry meets at most (entries of the row + 4)
-    roundings, and ``n_roundings`` more in the kernel itself. The bound is on the
-    largest magnitude with its rounding, transposed on the sum of them.
+    Each term of an entry meets at most (entries of the row + 4) roundings, and
+    ``n_roundings`` more in the kernel itself. The bound is on the largest magnitude
+    with its rounding, transposed on the sum of them.
     """
-    indptr, indices, data, discount = kernel
-    n = len(b)
-    missed = np.zeros(n)
-    size = np.zeros(n)
-    count = np.zeros(n)
-    # K x, the sums of the magnitudes of its terms, and their numbers
+    missed = np.array(b)
+    room = np.zeros((3, len(b)))
+    return Residual(
+        missed, *subtract_product(*kernel, transpose, x, n_roundings, missed, room)
+    )
+
+
+@njit(cache=True)
+def subtract_product(
+    indptr, indices, data, discount, transpose, x, n_roundings, missed, room
+):
+    """Subtract M x from ``missed``, and return what ``residual`` says about it.
+
+    ``room`` (3, S), zeros, takes K x, the sums of the magnitudes of its terms, and
+    their numbers.
+    """
+    n = len(missed)
     for i in range(n):
-        total = 0.0
-        magnitude = 0.0
-        own = x[i]
-        for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            if transpose:
+        if transpose:
+            own = x[i]
+            for k in range(indptr[i], indptr[i + 1]):
+                j = indices[k]
                 term = data[k] * own
-                missed[j] += term
-                size[j] += abs(term)
-                count[j] += 1.0
-            else:
-                term = data[k] * x[j]
+                room[0, j] += term
+                room[1, j] += abs(term)
+                room[2, j] += 1.0
+        else:
+            total = 0.0
+            magnitude = 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                term = data[k] * x[indices[k]]
                 total += term
                 magnitude += abs(term)
-        if not transpose:
-            missed[i] = total
-            size[i] = magnitude
-            count[i] = np.float64(indptr[i + 1] - indptr[i])
+            room[0, i] = total
+            room[1, i] = magnitude
+            room[2, i] = np.float64(indptr[i + 1] - indptr[i])
     largest = 0.0
     bound = 0.0
     rounding = 0.0
     # b - M x, and a bound on its rounding
     for i in range(n):
-        missed[i] = b[i] + (discount * missed[i] - x[i])
-        scale = discount * size[i] + abs(x[i]) + abs(b[i])
-        here = (
-            0.5
-            * np.finfo(np.float64).eps
-            * (1.0 + 1e-9)
-            * (count[i] + 4.0 + n_roundings)
-            * scale
-        )
+        scale = discount * room[1, i] + abs(x[i]) + abs(missed[i])
+        missed[i] += discount * room[0, i] - x[i]
+        here = 0.5 * EPS * (1.0 + 1e-9) * (room[2, i] + 4.0 + n_roundings) * scale
         value = abs(missed[i])
         if not value <= largest:  # nan as well
             largest = value
@@ -200,8 +268,9 @@ def residual(kernel, transpose, b, x, n_roundings):
             bound += (value + here) * (1.0 + 1e-9)
         elif not value + here <= bound:
             bound = value + here
-        rounding = max(rounding, here)
-    return missed, largest, bound, rounding
+        if here > rounding:
+            rounding = here
+    return largest, bound, rounding
 
 
 @njit(cache=True)

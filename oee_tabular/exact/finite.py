@@ -19,11 +19,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._compiling import njit
-from oee_tabular.exact._system import (
-    average_rewards,
-    largest_magnitude,
-    transpose_rows,
-)
+from oee_tabular.exact._system import average_rewards
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     Kernel,
@@ -34,10 +30,15 @@ from oee_tabular.exact.system import (
 )
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import limit_horizon
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, IntArray, PolicyLike
 
 # a long sum is a sum of sums of so many terms each: its rounding grows with n / 128
 N_CHUNK_TERMS = 128
+
+# arguments of kernels that are not wanted
+NOTHING: Array = np.zeros(0)
+NO_INITIAL: Array = as_readonly(np.zeros(0))
+NO_ENDS: IntArray = np.zeros(0, dtype=np.int64)
 
 
 class Cone(NamedTuple):
@@ -59,16 +60,30 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     rows = rows_of(model.csr)
     # numpy's zeros cost nothing until they are touched; a kernel would write its own
     place = np.zeros(model.n_states, np.uint32)
+    # only what is filled becomes memory
+    states = np.empty(model.n_states, np.uint32)
     ends = np.zeros(horizon, np.int64)
-    states, n_entries = reach_forward(
-        rows, as_readonly(policy), as_readonly(model.initial), place, ends
+    n_entries = reach_forward(
+        *rows,
+        as_readonly(policy),
+        as_readonly(model.initial),
+        np.count_nonzero(model.initial),
+        states,
+        place,
+        ends,
     )
+    states = states[: ends[-1]]
     # states that are reached last give a reward, but their transitions do not count
     leaving = states[: ends[-2] if horizon > 1 else 0]
     averaged = average_rows_of(leaving, rows, policy, place, n_entries)
     kernel = Kernel(*averaged, model.discount)
-    rewards, _ = average_rewards(policy[states], model.rewards[states])
-    return Cone(states, ends, kernel, rewards, model.initial[states[: ends[0]]])
+    given = model.rewards[states]
+    initial = model.initial[states[: ends[0]]]
+    # kernels are compiled for read-only arrays alone
+    given.flags.writeable = False
+    initial.flags.writeable = False
+    rewards, _ = average_rewards(policy[states], given)
+    return Cone(states, ends, kernel, rewards, initial)
 
 
 def values_by_horizon(
@@ -80,7 +95,35 @@ def values_by_horizon(
     """
     if policy.ndim == 3:
         return _sum_forward(model, policy, np.zeros((0, 0)))
-    return np.asarray(sweep_cone(light_cone(model, policy, horizon), is_each))
+    return sweep_cone(light_cone(model, policy, horizon), is_each)
+
+
+def sweep_cone(cone: Cone, is_each: bool) -> Array:
+    """Compute J of 0 .. T rewards, (T + 1,), on a light cone.
+
+    V_k = r + gamma K V_{k-1} with k rewards to go, J_k = mu_0 . V_k; each step leaves a
+    ring of the cone out. Unless ``is_each``, the last entry alone is filled in.
+    """
+    horizon = len(cone.ends)
+    totals = np.zeros(horizon + 1)
+    out = np.empty((2, len(cone.rewards)))
+    out[(horizon - 1) % 2] = cone.rewards
+    sweep(
+        *cone.kernel,
+        cone.rewards,
+        horizon,
+        cone.ends,
+        out,
+        cone.initial,
+        totals if is_each else NOTHING,
+        0.0,
+        0.0,
+        0.0,
+    )
+    totals[-1] = dot(cone.initial, out[0], len(cone.initial))
+    if is_each:
+        totals[1] = dot(cone.initial, cone.rewards, len(cone.initial))
+    return totals
 
 
 def initial_mean(model: Model, values: Array) -> float:
@@ -100,6 +143,14 @@ def visits(model: Model, policy: Array, horizon: int) -> Array:
     else:
         _sum_forward(model, policy, pairs)
     return pairs
+
+
+def visit_cone(cone: Cone) -> Array:
+    """Compute sum_{t<T} gamma^t Pr(s_t = s) for the states of a light cone."""
+    here, there, total = np.zeros((3, cone.ends[-1]))
+    here[: len(cone.initial)] = cone.initial
+    add_visits(*cone.kernel, cone.ends, here, there, total)
+    return np.asarray(total)
 
 
 def _sum_forward(model: Model, policy: Array, pairs: Array) -> Array:
@@ -122,10 +173,42 @@ def values_to_go(
 
     Row t has T - t rewards to go. Unless ``is_each``, V_0 alone is returned, (1, S).
     """
-    out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
+    out = np.empty((horizon + 1 if is_each else 2, model.n_states))
     rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
-    sweep(policy_system(model, policy).kernel, rewards, horizon, out, np.zeros(0))
+    sweep_all(policy_system(model, policy).kernel, rewards, horizon, out)
     return out if is_each else out[:1]
+
+
+def sweep_all(
+    kernel: Kernel,
+    rewards: Array,
+    horizon: int,
+    out: Array,
+    carried: float = 0.0,
+    each: float = 0.0,
+    of_rewards: float = 0.0,
+) -> tuple[float, float]:
+    """Compute V_t of all states into row t % len(out) of ``out``.
+
+    Returns the largest magnitude in V_0, and e_0 where e_t = carried (e_{t+1} + each
+    ``|V_{t+1}|_inf``) + of_rewards, e_T = 0.
+    """
+    # V_T, where there is room for it
+    out[horizon % len(out)] = 0.0
+    out[(horizon - 1) % len(out)] = rewards
+    size, error = sweep(
+        *kernel,
+        rewards,
+        horizon,
+        NO_ENDS,
+        out,
+        NO_INITIAL,
+        NOTHING,
+        carried,
+        each,
+        of_rewards,
+    )
+    return size, error
 
 
 def gradient_to_horizon(
@@ -136,20 +219,25 @@ def gradient_to_horizon(
     sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, r
     and V of ``valued``.
     """
-    back = Kernel(*policy_system(model, policy).back, 1.0)
+    kernel = policy_system(model, policy).kernel
     # empty where rewards do not depend on s'
     data = np.zeros(0) if valued.reward_data is None else valued.reward_data
     rewards = as_readonly(data)
     to_go = values_to_go(valued, policy, horizon)
     out = np.zeros(valued.transitions.nnz)
+    here, there = np.zeros((2, model.n_states))
+    here[:] = model.initial
+    indptr, columns, _ = rows_of(valued.csr)
     add_flows(
         to_go,
         valued.discount,
-        back,
-        model.initial,
-        rows_of(valued.csr),
+        *kernel[:3],
+        indptr,
+        columns,
         policy,
         rewards,
+        here,
+        there,
         out,
     )
     lengths = np.diff(valued.transitions.indptr)
@@ -204,29 +292,6 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 
 
 @njit(cache=True)
-def backup(kernel, rewards, ahead, out, first, last):
-    """Compute out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
-    indptr, indices, data, gamma = kernel
-    one = np.uint64(1)
-    four = np.uint64(4)
-    x = np.uint64(indptr[first])
-    for s in range(first, last):
-        end = np.uint64(indptr[s + one])
-        total = 0.0
-        # four entries at a time, but one addition after the other all the same
-        while x + four <= end:
-            total += data[x] * ahead[indices[x]]
-            total += data[x + one] * ahead[indices[x + one]]
-            total += data[x + np.uint64(2)] * ahead[indices[x + np.uint64(2)]]
-            total += data[x + np.uint64(3)] * ahead[indices[x + np.uint64(3)]]
-            x += four
-        while x < end:
-            total += data[x] * ahead[indices[x]]
-            x += one
-        out[s] = rewards[s] + gamma * total
-
-
-@njit(cache=True)
 def dot(x, y, size):
     """Compute x . y over the first ``size`` entries.
 
@@ -247,43 +312,85 @@ def dot(x, y, size):
 
 
 @njit(cache=True)
-def sweep(kernel, rewards, horizon, out, sizes):
-    """Compute V_t = r + gamma K V_{t+1}, V_T = 0, for t = T-1 .. 0.
+def sweep(
+    indptr,
+    indices,
+    data,
+    gamma,
+    rewards,
+    horizon,
+    ends,
+    out,
+    initial,
+    totals,
+    carried,
+    each,
+    of_rewards,
+):
+    """Compute V_t = r + gamma K V_{t+1} for t = T-2 .. 0, where V_{T-1} = r is given.
 
-    V_t stands in row t % len(out) of ``out``, which begins with zeros. Where ``sizes``
-    (T + 1,) has room, it takes the largest magnitude of each V_t.
+    V_t stands in row t % len(out) of ``out``, and where ``ends`` (T,) has any, in the
+    first ends[t] states alone. Where ``totals`` (T + 1,) has room, it takes mu_0 . V_t
+    at T - t. Returns the largest magnitude in V_0, and e_0 where e_t = carried (e_{t+1}
+    + each ``|V_{t+1}|_inf``) + of_rewards, e_T = 0.
     """
-    k = len(out)
-    for t in range(horizon - 1, -1, -1):
-        backup(
-            kernel,
-            rewards,
-            out[(t + 1) % k],
-            out[t % k],
-            np.uint64(0),
-            np.uint64(len(rewards)),
-        )
-        if len(sizes) > 0:
-            sizes[t] = largest_magnitude(out[t % k])
+    one = np.uint64(1)
+    two = np.uint64(2)
+    three = np.uint64(3)
+    four = np.uint64(4)
+    largest = 0.0
+    for s in range(len(rewards)):
+        size = abs(rewards[s])
+        if not size <= largest:  # nan as well
+            largest = size
+    error = of_rewards
+    last = np.uint64(len(rewards))
+    for t in range(horizon - 2, -1, -1):
+        error = carried * (error + each * largest) + of_rewards
+        largest = 0.0
+        ahead = out[(t + 1) % len(out)]
+        here = out[t % len(out)]
+        if len(ends) > 0:
+            last = np.uint64(ends[t])
+        x = np.uint64(0)
+        for s in range(last):
+            end = np.uint64(indptr[s + one])
+            total = 0.0
+            # four entries at a time, but one addition after the other all the same
+            while x + four <= end:
+                total += data[x] * ahead[indices[x]]
+                total += data[x + one] * ahead[indices[x + one]]
+                total += data[x + two] * ahead[indices[x + two]]
+                total += data[x + three] * ahead[indices[x + three]]
+                x += four
+            while x < end:
+                total += data[x] * ahead[indices[x]]
+                x += one
+            total = rewards[s] + gamma * total
+            here[s] = total
+            size = abs(total)
+            if not size <= largest:
+                largest = size
+        if len(totals) > 0:
+            totals[horizon - t] = dot(initial, here, len(initial))
+    return largest, error
 
 
 @njit(cache=True)
-def reach_forward(rows, policy, initial, place, ends):
+def reach_forward(
+    indptr, indices, data, policy, initial, n_initial, states, place, ends
+):
     """Find the states that len(ends) - 1 transitions reach, as they are discovered.
 
-    R_0 = support of mu_0, R_{t+1} = R_t and what its rows lead to. ``ends`` takes how
-    many of them k transitions reach, ``place`` (S,), zeros before, 1 + each state's
-    number; what is not reached is not read. Returns the states, and how many entries
-    their rows have.
+    R_0 = support of mu_0, which has ``n_initial`` states, R_{t+1} = R_t and what its
+    rows lead to. ``states`` (S,) takes them, ``ends`` how many of them k transitions
+    reach, ``place`` (S,), zeros before, 1 + each state's number; what is not reached is
+    not read. Returns how many entries their rows have.
     """
-    indptr, indices, data = rows
     n_actions = policy.shape[1]
-    # the first states; only what is filled becomes memory
-    states = np.empty(len(place), np.uint32)
     count = 0
     n_done = 0
     n_entries = 0
-    n_initial = np.count_nonzero(initial)
     for s in range(len(initial)):
         if count == n_initial:
             break
@@ -295,10 +402,11 @@ def reach_forward(rows, policy, initial, place, ends):
     # ring by ring: what the states lead to that were reached last
     for t in range(1, len(ends)):
         for i in range(n_done, ends[t - 1]):
-            row = np.int64(states[i]) * n_actions
+            state = np.int64(states[i])
+            row = state * n_actions
             n_entries += np.int64(indptr[row + n_actions]) - np.int64(indptr[row])
             for a in range(n_actions):
-                share = policy[states[i], a]
+                share = policy[state, a]
                 if share == 0.0:
                     continue
                 for k in range(indptr[row + a], indptr[row + a + 1]):
@@ -308,61 +416,33 @@ def reach_forward(rows, policy, initial, place, ends):
                         place[indices[k]] = count
         n_done = ends[t - 1]
         ends[t] = count
-    return states[:count], n_entries
+    return n_entries
 
 
 @njit(cache=True)
-def sweep_cone(cone, is_each):
-    """Compute J of 0 .. T rewards, (T + 1,), on a light cone.
+def add_visits(indptr, indices, data, gamma, ends, here, there, total):
+    """Add sum_{t<T} gamma^t d_t to ``total``, d_{t+1} = K^T d_t, d_0 = ``here``.
 
-    V_k = r + gamma K V_{k-1} with k rewards to go, J_k = mu_0 . V_k; each step leaves a
-    ring of the cone out. Unless ``is_each``, the last entry alone is filled in.
+    d_t is read in the first ends[t] states, which t transitions reach. ``there`` begins
+    with zeros.
     """
-    ends = cone.ends
-    horizon = len(ends)
-    out = np.zeros(horizon + 1)
-    value = cone.rewards.copy()
-    other = np.zeros(len(cone.rewards))
-    for k in range(1, horizon + 1):
-        if k > 1:
-            backup(
-                cone.kernel,
-                cone.rewards,
-                value,
-                other,
-                np.uint64(0),
-                np.uint64(ends[horizon - k]),
-            )
-            value, other = other, value
-        if is_each or k == horizon:
-            out[k] = dot(cone.initial, value, ends[0])
-    return out
-
-
-@njit(cache=True)
-def visit_cone(cone):
-    """Compute sum_{t<T} gamma^t Pr(s_t = s) for the states of a light cone.
-
-    d_{t+1} = K^T d_t, as far as t transitions reach.
-    """
-    ends = cone.ends
-    indptr, indices, data, gamma = cone.kernel
-    size = ends[-1]
-    back = Kernel(*transpose_rows(indptr, indices, data, size), 1.0)
-    nothing = np.zeros(size)
-    here = np.zeros(size)
-    there = np.zeros(size)
-    total = np.zeros(size)
-    here[: ends[0]] = cone.initial
+    one = np.uint64(1)
     weight = 1.0
-    for t in range(len(ends)):
-        for i in range(ends[t]):
-            total[i] += weight * here[i]
-        if t + 1 < len(ends):
-            backup(back, nothing, here, there, np.uint64(0), np.uint64(ends[t + 1]))
-            here, there = there, here
+    for t in range(len(ends) - 1):
+        x = np.uint64(0)
+        for i in range(np.uint64(ends[t])):
+            own = here[i]
+            total[i] += weight * own
+            # zero again for the step after next
+            here[i] = 0.0
+            end = np.uint64(indptr[i + one])
+            while x < end:
+                there[indices[x]] += data[x] * own
+                x += one
+        here, there = there, here
         weight *= gamma
-    return total
+    for i in range(len(total)):
+        total[i] += weight * here[i]
 
 
 @njit(cache=True)
@@ -406,33 +486,48 @@ def step_forward(rows, rewards, policy, initial, gamma, pairs):
 
 
 @njit(cache=True)
-def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
+def add_flows(
+    to_go,
+    gamma,
+    starts,
+    following,
+    data,
+    indptr,
+    columns,
+    policy,
+    rewards,
+    here,
+    there,
+    out,
+):
     """Add sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) to out[k] for each entry k.
 
-    d_{t+1} = K^T d_t. Only entries of actions that are taken count. ``to_go`` (T + 1,
-    S) is V; ``back`` is the transposed kernel of d, with discount 1; ``rows`` (S*A, S)
-    has the entries, and ``rewards`` r(s, a, s') is aligned with them or empty.
+    d_{t+1} = K^T d_t, d_0 = ``here``; K has the rows ``starts``, ``following`` and
+    ``data``. Only entries of actions that are taken count. ``to_go`` (T + 1, S) is V;
+    ``indptr`` and ``columns`` have the entries k, and ``rewards`` r(s, a, s') is
+    aligned with them or empty.
     """
-    indptr, columns, _ = rows
     n_states, n_actions = policy.shape
-    nothing = np.zeros(n_states)
-    here = initial.copy()
-    there = np.zeros(n_states)
+    has_rewards = len(rewards) > 0
     weight = 1.0
     for t in range(len(to_go) - 1):
         for s in range(n_states):
-            mass = weight * here[s]
-            if mass == 0.0:
+            there[s] = 0.0
+        for s in range(n_states):
+            own = here[s]
+            if own == 0.0:
                 continue
+            for k in range(starts[s], starts[s + 1]):
+                there[following[k]] += data[k] * own
+            mass = weight * own
             for a in range(n_actions):
                 if policy[s, a] == 0.0:
                     continue
                 row = s * n_actions + a
                 for k in range(indptr[row], indptr[row + 1]):
-                    out[k] += mass * (
-                        (rewards[k] if len(rewards) else 0.0)
-                        + gamma * to_go[t + 1, columns[k]]
-                    )
-        backup(back, nothing, here, there, np.uint64(0), np.uint64(n_states))
+                    gain = gamma * to_go[t + 1, columns[k]]
+                    if has_rewards:
+                        gain += rewards[k]
+                    out[k] += mass * gain
         here, there = there, here
         weight *= gamma

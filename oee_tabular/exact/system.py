@@ -122,10 +122,9 @@ class System:
 
         The largest includes its rounding; the mid-point does not.
         """
-        smallest, largest, middle = _system.range_of_sums(
-            self.kernel, float(self.n_roundings)
+        return _system.range_of_sums(
+            self.kernel.indptr, self.kernel.data, self.n_roundings
         )
-        return smallest, largest, middle
 
     @property
     def shared_sum(self) -> float | None:
@@ -205,11 +204,9 @@ def average_rows_of(
     ``number`` has 1 + the new number of each state that follows. The rows of these
     states have ``n_entries`` entries in all.
     """
-    columns = np.empty(n_entries, dtype=np.uint32)
-    values = np.empty(n_entries)
     averaged = KernelRows(
         *_system.average_rows(
-            rows, np.ascontiguousarray(policy), states, number, columns, values
+            rows, np.ascontiguousarray(policy), states, number, n_entries
         )
     )
     # all arrays are read-only, so that sweeps are compiled for one kind of array
@@ -273,8 +270,7 @@ def exponent(numbers: Array) -> int:
 
     Numbers between 1e-100 and 1e100 have squares within the range of floats.
     """
-    flat = np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)
-    largest = float(_system.largest_magnitude(flat))
+    largest = _system.largest_magnitude(np.asarray(numbers, dtype=np.float64))
     if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf:
         return 0
     return int(np.frexp(largest)[1])

@@ -219,9 +219,7 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """Compute r_pi(s) = sum_a policy[s, a] r(s, a), of shape (S,)."""
-    return np.asarray(
-        _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
-    )
+    return _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
 
 
 def largest_reward(model: Model) -> float:
@@ -230,7 +228,7 @@ def largest_reward(model: Model) -> float:
     Tolerances are shares of it, so that the unit of the rewards does not matter.
     """
     data = model.rewards if model.reward_data is None else model.reward_data
-    return float(_system.largest_magnitude(np.ravel(data)))
+    return _system.largest_magnitude(data)
 
 
 @suggest_keywords

@@ -18,9 +18,12 @@ D. Vose's, IEEE Trans. Software Engineering 17, 1991. [2] Salmon, Moraes, Dror a
 Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
+from typing import Any
+
 import numpy as np
 
 from oee_tabular._compiling import njit
+from oee_tabular.typing import Array, IntArray
 
 _WHOLE = 1 << 62
 _LOW = np.uint64(0xFFFFFFFF)
@@ -42,99 +45,106 @@ _SIZE = np.uint64(63)
 _TERMINAL = np.uint64(128)
 
 
-@njit(cache=True)
-def list_outcomes(state, indptr, prob, policy, chance, entry):
-    """List the entries x of a state's rows with their probabilities.
-
-    p(x) = policy(a | s) P(x) / sum P(. | s, a): rows of P sum to 1 only to 1e-8.
-    Returns the number of outcomes.
-    """
-    n = 0
-    n_actions = policy.shape[1]
-    for action in range(n_actions):
-        if policy[state, action] > 0.0:
-            row = state * n_actions + action
-            total = 0.0
-            for x in range(indptr[row], indptr[row + 1]):
-                total += prob[x]
-            for x in range(indptr[row], indptr[row + 1]):
-                chance[n] = policy[state, action] / total * prob[x]
-                entry[n] = x
-                n += 1
-    return n
-
-
-@njit(cache=True)
-def round_to_units(chance, n, mass):
-    """Round probabilities to whole units: mass(x) = round(2^62 p(x) / sum p).
-
-    The most probable outcome, which is returned, takes what the others leave: their sum
-    is 2^62.
-    """
-    total = 0.0
-    most = np.argmax(chance[:n])
-    rest = _WHOLE
-    for i in range(n):
-        total += chance[i]
-    for i in range(n):
-        if i != most:
-            mass[i] = np.int64(chance[i] / total * _WHOLE + 0.5)
-            rest -= mass[i]
-    mass[most] = rest
-    return most
-
-
-@njit(cache=True)
-def pair_slots(mass, k, word, small, large):
-    """Pair the slots that lack units with slots that have too many.
-
-    threshold_i = mass_i, alias_i = j, mass_j -= 2^(62 - k) - mass_i, while a slot lacks
-    units.
-    """
-    room = _WHOLE >> k
-    n_small = 0
-    n_large = 0
-    for i in range(1 << k):
-        if mass[i] < room:
-            small[n_small] = i
-            n_small += 1
-        else:
-            large[n_large] = i
-            n_large += 1
-    while n_small > 0:
-        n_small -= 1
-        i = small[n_small]
-        j = large[n_large - 1]
-        word[i] = mass[i] << k | j
-        mass[j] -= room - mass[i]
-        if mass[j] < room:
-            n_large -= 1
-            small[n_small] = j
-            n_small += 1
-    # what is left is exactly full
-    for i in range(n_large):
-        word[large[i]] = room << k | large[i]
-
-
-@njit(cache=True)
-def fill_table(indptr, prob, policy, first, size, word, entry):
-    """Fill the slots of all states, state s from ``first[s]`` on.
+def fill_table(
+    indptr: IntArray,
+    prob: Array,
+    policy: Array,
+    first: IntArray,
+    size: IntArray,
+    word: IntArray,
+    entry: IntArray,
+) -> None:
+    """Fill the slots of all states, the 2^size[s] of state s from ``first[s]`` on.
 
     A slot has its threshold and alias, and the entry that it stands for.
     """
-    widest = 1 << np.max(size)
-    chance = np.empty(widest)
-    mass = np.empty(widest, np.int64)
-    small = np.empty(widest, np.int64)
-    large = np.empty(widest, np.int64)
+    widest = 1 << int(size.max())
+    mass, small, large = np.empty((3, widest), np.int64)
+    fill_slots(
+        indptr,
+        prob,
+        policy,
+        first,
+        size,
+        word,
+        entry,
+        np.empty(widest),
+        mass,
+        small,
+        large,
+    )
+
+
+@njit(cache=True)
+def fill_slots(
+    indptr, prob, policy, first, size, word, entry, chance, mass, small, large
+):
+    """Fill the slots of each state, with room for the numbers of one state.
+
+    p(x) = policy(a | s) P(x) / sum P(. | s, a): rows of P sum to 1 only to 1e-8.
+    Probabilities are rounded to whole units, mass(x) = round(2^62 p(x) / sum p); the
+    most probable outcome takes what the others leave: their sum is 2^62. Then slots
+    that lack units are paired with slots that have too many: threshold_i = mass_i,
+    alias_i = j, mass_j -= 2^(62 - k) - mass_i, while a slot lacks units.
+    """
+    n_actions = policy.shape[1]
     for s in range(len(size)):
-        slots = slice(first[s], first[s] + (1 << size[s]))
-        own = entry[slots]
-        n = list_outcomes(s, indptr, prob, policy, chance, own)
-        most = round_to_units(chance, n, mass)
-        mass[n : len(own)] = 0
-        own[n:] = own[most]
-        pair_slots(mass, size[s], word[slots], small, large)
+        begin = first[s]
+        k = size[s]
+        n_slots = 1 << k
+        # the entries of the state's rows with their probabilities
+        n = 0
+        for action in range(n_actions):
+            share = policy[s, action]
+            if share > 0.0:
+                row = s * n_actions + action
+                total = 0.0
+                for x in range(indptr[row], indptr[row + 1]):
+                    total += prob[x]
+                for x in range(indptr[row], indptr[row + 1]):
+                    chance[n] = share / total * prob[x]
+                    entry[begin + n] = x
+                    n += 1
+        # in whole units
+        total = 0.0
+        most = 0
+        for i in range(n):
+            total += chance[i]
+            if chance[i] > chance[most]:
+                most = i
+        rest = _WHOLE
+        for i in range(n):
+            if i != most:
+                mass[i] = np.int64(chance[i] / total * _WHOLE + 0.5)
+                rest -= mass[i]
+        mass[most] = rest
+        for i in range(n, n_slots):
+            mass[i] = 0
+            entry[begin + i] = entry[begin + most]
+        # in pairs of slots
+        room = _WHOLE >> k
+        n_small = 0
+        n_large = 0
+        for i in range(n_slots):
+            if mass[i] < room:
+                small[n_small] = i
+                n_small += 1
+            else:
+                large[n_large] = i
+                n_large += 1
+        while n_small > 0:
+            n_small -= 1
+            i = small[n_small]
+            j = large[n_large - 1]
+            word[begin + i] = mass[i] << k | j
+            mass[j] -= room - mass[i]
+            if mass[j] < room:
+                n_large -= 1
+                small[n_small] = j
+                n_small += 1
+        # what is left is exactly full
+        for i in range(n_large):
+            word[begin + large[i]] = room << k | large[i]
 
 
 @njit(cache=True, inline="always")
@@ -156,8 +166,8 @@ def philox(c0, c1, c2, c3, k0, k1):
 
 
 @njit(cache=True)
-def fill_words(key, stream, trajectory, block, words):
-    """Compute the words (2, blocks) of 62 bits of the next blocks, for alias tables.
+def fill_words(key, stream, trajectory, block, words, lane):
+    """Compute the words (2, blocks) of 62 bits of a lane's next blocks.
 
     The blocks stand side by side, so that they are vectorised.
     """
@@ -165,10 +175,10 @@ def fill_words(key, stream, trajectory, block, words):
     k1 = key >> _SHIFT
     c2 = trajectory & _LOW
     c3 = trajectory >> _SHIFT
-    for b in range(words.shape[1]):
+    for b in range(words.shape[2]):
         x0, x1, x2, x3 = philox(block + np.uint64(b), stream, c2, c3, k0, k1)
-        words[0, b] = (x1 << _SHIFT | x0) >> _TWO
-        words[1, b] = (x3 << _SHIFT | x2) >> _TWO
+        words[lane, 0, b] = (x1 << _SHIFT | x0) >> _TWO
+        words[lane, 1, b] = (x3 << _SHIFT | x2) >> _TWO
 
 
 @njit(cache=True, inline="always")
@@ -184,21 +194,20 @@ def choose_slot(code, x, word):
     return slot if x | low < own else base + (own & low)
 
 
-@njit(cache=True, nogil=True)
 def draw_episodes(
-    begin,
-    end,
-    key,
-    stream,
-    horizon,
-    discount,
-    by_transition,
-    table,
-    sums,
-    lengths,
-    last,
-    path,
-):
+    begin: int,
+    end: int,
+    key: Any,
+    stream: Any,
+    horizon: int,
+    discount: float,
+    by_transition: bool,
+    table: tuple[Any, Any, Any, Array, Array, IntArray],
+    sums: Array,
+    lengths: IntArray,
+    last: IntArray,
+    path: IntArray,
+) -> tuple[int, int]:
     """Draw the trajectories begin .. end - 1 and the sums along them.
 
     G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}. ``sums`` (4, n): G;
@@ -208,21 +217,70 @@ def draw_episodes(
     row, unless it is empty. Returns the first trajectory that ``path`` has no room for,
     and how much of it is used.
     """
-    code, word, following, reward, factor, entry = table
+    # one after the other where paths are kept
+    n_lanes = 1 if len(path) else N_LANES
+    # the threads that draw episodes have words of their own
+    words = np.empty((n_lanes, 2, N_BLOCKS), np.uint64)
+    here = np.empty(n_lanes, np.uint64)
+    done, used = step_lanes(
+        begin,
+        end,
+        key,
+        stream,
+        horizon,
+        discount,
+        by_transition,
+        *table,
+        sums,
+        lengths,
+        last,
+        path,
+        words,
+        here,
+    )
+    return done, used
+
+
+@njit(cache=True, nogil=True)
+def step_lanes(
+    begin,
+    end,
+    key,
+    stream,
+    horizon,
+    discount,
+    by_transition,
+    code,
+    word,
+    following,
+    reward,
+    factor,
+    entry,
+    sums,
+    lengths,
+    last,
+    path,
+    words,
+    here,
+):
+    """Draw the trajectories begin .. end - 1, so many at a time as ``here`` has lanes."""
     weighted = len(factor) > 0
     record = len(path) > 0
     used = 0
-    n_lanes = 1 if record else N_LANES
-    words = np.empty((n_lanes, 2, N_BLOCKS), np.uint64)
-    here = np.empty(n_lanes, np.uint64)
+    n_lanes = len(here)
     for first in range(begin, end, n_lanes):
         # the first states of the lanes, and sums that begin with 0 or 1
-        n_together = min(n_lanes, end - first)
+        n_together = n_lanes
+        if end - first < n_lanes:
+            n_together = end - first
         for lane in range(n_together):
-            fill_words(key, stream, np.uint64(first + lane), np.uint64(0), words[lane])
+            i = first + lane
+            fill_words(key, stream, np.uint64(i), np.uint64(0), words, lane)
             here[lane] = following[choose_slot(code[-1], words[lane, 0, 0], word)]
-            for k, start in enumerate((0.0, 0.0, 1.0, 0.0 if weighted else 1.0)):
-                sums[k, first + lane] = start
+            sums[0, i] = 0.0
+            sums[1, i] = 0.0
+            sums[2, i] = 1.0
+            sums[3, i] = 0.0 if weighted else 1.0
         scale = 1.0
         n_running = n_together
         # a step of each lane whose episode has not ended
@@ -233,21 +291,23 @@ def draw_episodes(
                     continue
                 i = first + lane
                 if at == 0:
-                    fill_words(
-                        key, stream, np.uint64(i), np.uint64((t + 1) // 2), words[lane]
-                    )
+                    block = np.uint64((t + 1) // 2)
+                    fill_words(key, stream, np.uint64(i), block, words, lane)
                 slot = choose_slot(here[lane], words[lane, at & 1, at >> 1], word)
                 here[lane] = following[slot]
                 gain = scale * reward[slot]
                 sums[0, i] += gain
                 if weighted:
                     before = sums[2, i]
-                    after = sums[2, i] * factor[slot]
+                    after = before * factor[slot]
                     carried = after if by_transition else before
                     # a weight may be infinite
-                    sums[1, i] += gain * carried if gain != 0.0 else 0.0
-                    sums[3, i] = max(sums[3, i], carried)
-                    sums[2, i] = after if by_transition or t + 1 < horizon else before
+                    if gain != 0.0:
+                        sums[1, i] += gain * carried
+                    if carried > sums[3, i]:
+                        sums[3, i] = carried
+                    if by_transition or t + 1 < horizon:
+                        sums[2, i] = after
                 if record:
                     if used == len(path):
                         return i, used - t

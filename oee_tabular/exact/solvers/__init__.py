@@ -155,10 +155,8 @@ def answer(
 def measure(system: System, b: Array, x: Array, method: str) -> Iterate:
     """Return x with its residual and the bounds on it."""
     n_roundings = float(system.n_roundings)
-    missed, largest, bound, rounding = _system.residual(
-        system.kernel, system.transpose, b, x, n_roundings
-    )
-    return Iterate(x, missed, largest, bound, rounding, method)
+    found = _system.residual(system.kernel, system.transpose, b, x, n_roundings)
+    return Iterate(x, *found, method)
 
 
 def refine(

@@ -83,14 +83,14 @@ class BiCGStab:
         def solve(b: Array, relative: float) -> Array | None:
             """Solve M_CC y + M_CE x_e = b_c with x_e = M_EE^-1 (b_e - M_EC y)."""
             ahead = np.empty(len(b))
-            multiply(kernel, transpose, inverse * b, ahead)
+            multiply(*kernel[:3], transpose, inverse * b, ahead)
             right = (b + kernel.discount * ahead)[states]
             y = iterate(factors, right, relative, steps)
             if y is None:
                 return None
             x = np.zeros(len(b))
             x[states] = y
-            multiply(kernel, transpose, x, ahead)
+            multiply(*kernel[:3], transpose, x, ahead)
             return np.asarray(x + inverse * (b + kernel.discount * ahead))
 
         return solve

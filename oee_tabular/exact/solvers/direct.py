@@ -53,7 +53,9 @@ class LAPACK:
     def prepare(self, system: System) -> Solve:
         """Factorise the dense matrix; a singular system is given up."""
         # the transposed matrix is in Fortran's order, so that LAPACK copies nothing
-        matrix = dense_matrix(system.kernel).T
+        matrix = np.zeros((system.n_states, system.n_states))
+        fill_matrix(*system.kernel, matrix)
+        matrix = matrix.T
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
         def solve(b: Array, relative: float) -> Array | None:
@@ -67,14 +69,12 @@ class LAPACK:
 
 
 @njit(cache=True)
-def dense_matrix(kernel):
-    """Make the dense matrix (S, S) of I - discount K."""
-    indptr, indices, data, discount = kernel
-    matrix = np.eye(len(indptr) - 1)
-    for i in range(len(matrix)):
+def fill_matrix(indptr, indices, data, discount, matrix):
+    """Add I - discount K to a dense matrix (S, S)."""
+    for i in range(len(indptr) - 1):
+        matrix[i, i] += 1.0
         for k in range(indptr[i], indptr[i + 1]):
             matrix[i, indices[k]] -= discount * data[k]
-    return matrix
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def sweep(kernel, mass, transpose, b, relative):
     floor = 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))
     # a sweep, the range of its changes, and whether they still get closer to each other
     for turn in range(200):
-        multiply(kernel, transpose, x, new)
+        multiply(kernel.indptr, kernel.indices, kernel.data, transpose, x, new)
         low = np.inf
         high = -np.inf
         largest = 0.0
@@ -144,7 +144,7 @@ def product(kernel, transpose, constant, p, first, out):
 
     Returns the dot products first . out, p . out and out . out.
     """
-    multiply(kernel, transpose, p, out)
+    multiply(kernel.indptr, kernel.indices, kernel.data, transpose, p, out)
     with_first = 0.0
     with_p = 0.0
     with_out = 0.0
