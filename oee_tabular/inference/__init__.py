@@ -6,7 +6,7 @@ and J of eq. 3.1. Rewards are taken as known. With V the values and d the policy
 discounted time in the pairs, unnormalised, the gradient of J is G(x, s') = d(x) (r(x,
 s') + gamma V(s')).
 
-*The quoted interval* (``likelihood``, kernels in ``_likelihood``):
+*The quoted interval* (``profile_ascent``, its compiled loops in ``_likelihood``):
 
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},
 
@@ -17,7 +17,7 @@ the default's value -+ max(z se, z se_recorded + Delta_k): Delta_k is how far J 
 the worst and the best model whose unrecorded rows are between Q / k and k Q, Q = zeta P
 the estimated rows, and k the factor ``unrecorded``. At k = 1 (``Interval.sampling``)
 it is the value -+ z standard errors.
-``shared_ends``: the same where rows share parameters (a tie, features).
+``shared_parameters``: the same where rows share parameters (a tie, features).
 
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows
 without data are the simulator's.

@@ -16,6 +16,7 @@ from oee_tabular.inference.robust import greedy_row
 
 # a spread of v / n that is a smaller share of the largest one does not move a row
 MIN_SPREAD = 1e-14
+ROUNDING = 1e-14  # of the values: a smaller difference of two of them is none
 
 
 @njit(cache=True, error_model="numpy")
@@ -299,3 +300,40 @@ def fill_steps(edges, columns, share, paid, discount, to_go, now, ahead, visits,
         for s in range(n):
             now[s] = ahead[s]
             ahead[s] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def fill_gradient(
+    indptr, state, column, weight, pay, phat, n, discount, values, visits, gradient
+):
+    """Write the gradient of J, centred in each row: the mean does not matter there.
+
+    G_i = d(s) pi(a | s) (r + gamma V(s')) less its mean under phat.
+
+    In rows without data it is r + gamma V alone, which does not vanish where the rows
+    are never reached.
+    """
+    for r in range(len(n)):
+        start = indptr[r]
+        stop = indptr[r + 1]
+        mean = 0.0
+        size = 0.0
+        for i in range(start, stop):
+            ahead = pay[i] + discount * values[column[i]]
+            gradient[i] = ahead
+            mean += phat[i] * ahead
+            if ahead > size:
+                size = ahead
+            elif -ahead > size:
+                size = -ahead
+        time = visits[state[start]]
+        if time < 0.0:
+            time = 0.0
+        for i in range(start, stop):
+            rest = gradient[i] - mean
+            if abs(rest) <= ROUNDING * size:
+                gradient[i] = 0.0
+            elif n[r] > 0.0:
+                gradient[i] = time * weight[i] * rest
+            else:
+                gradient[i] = rest

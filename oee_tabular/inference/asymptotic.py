@@ -43,7 +43,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value, state_values, transition_gradient
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
-from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
+from oee_tabular.inference.profile_ascent import PolicyRows, value_of_rows
 from oee_tabular.mdp.horizons import horizon_length, total_discount
 from oee_tabular.typing import Array, IntArray, Seed
 

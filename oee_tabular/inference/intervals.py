@@ -32,20 +32,19 @@ from oee_tabular.inference.evidence import (
     require_squares,
     unrecorded_share,
 )
-from oee_tabular.inference.likelihood import (
-    End,
-    FeaturesLike,
-    TieLike,
-    likelihood_ends,
-    shared_directions,
-    shared_ends,
-)
+from oee_tabular.inference.profile_ascent import End, likelihood_ends
 from oee_tabular.inference.robust import (
     RadiusKind,
     extreme_value,
     find_contradictions,
     radii,
     require_end,
+)
+from oee_tabular.inference.shared_parameters import (
+    FeaturesLike,
+    TieLike,
+    shared_directions,
+    shared_ends,
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals

@@ -37,7 +37,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.intervals import check_factor, check_seconds
-from oee_tabular.inference.likelihood import FeaturesLike, TieLike
+from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import text

@@ -29,8 +29,8 @@ from oee_tabular.inference import (
 from oee_tabular.inference.comparison import MIN_RECORDED_SHARE, compare_estimates
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.intervals import interval_without_search
-from oee_tabular.inference.likelihood import FeaturesLike, TieLike
 from oee_tabular.inference.robust import independent_radius
+from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.typing import Array, BoolArray
@@ -74,7 +74,7 @@ class Premises:
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
     which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
     ``transition_ratio``) add an estimator with the interval of its own model
-    (``inference.likelihood``). ``unrecorded`` is the factor of ``interval``.
+    (``inference.profile_ascent``). ``unrecorded`` is the factor of ``interval``.
     """
 
     lower_ratio: float | None = None

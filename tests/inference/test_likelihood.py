@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 
 import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
-from oee_tabular.inference import likelihood
+from oee_tabular.inference import profile_ascent
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.likelihood import likelihood_ends
+from oee_tabular.inference.profile_ascent import likelihood_ends
 
 LIMIT = stats.chi2.ppf(0.95, 1) / 2
 
@@ -176,7 +176,7 @@ def test_drawn_directions_find_farther_ends(seed, monkeypatch):
     problem, policy = sparse_problem(seed)
     evidence = gather(problem, policy)
     low, high = (end.value for end in likelihood_ends(evidence, 0.95))
-    monkeypatch.setattr(likelihood, "MAX_DRAWN_DIRECTIONS", 0)
+    monkeypatch.setattr(profile_ascent, "MAX_DRAWN_DIRECTIONS", 0)
     nearer_low, nearer_high = (end.value for end in likelihood_ends(evidence, 0.95))
     assert max(nearer_low - low, high - nearer_high) > 0.015 * (high - low)
 
@@ -203,7 +203,7 @@ def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
     log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 600, seed=1)
     evidence = gather(oee.Problem(simulator, log, horizon=horizon), policy)
     small = [end.value for end in likelihood_ends(evidence, 0.95)]
-    monkeypatch.setattr(likelihood, "MAX_DENSE_STATES", 0)
+    monkeypatch.setattr(profile_ascent, "MAX_DENSE_STATES", 0)
     large = [end.value for end in likelihood_ends(evidence, 0.95)]
     assert_allclose(large, small, rtol=1e-13, atol=1e-8 * (small[1] - small[0]))
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.estimators import OffEnvironment
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.likelihood import likelihood_ends
+from oee_tabular.inference.profile_ascent import likelihood_ends
 from oee_tabular.lab.bench import choose_families, families_redrawn
 from oee_tabular.lab.bench.families_unrecorded import FAULTS, families
 from oee_tabular.lab.experiment import Stream

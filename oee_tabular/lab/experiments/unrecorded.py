@@ -37,7 +37,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.estimators.off_environment import NORMAL, threshold
 from oee_tabular.exact import occupancy, policy_value, reweight
-from oee_tabular.inference import likelihood
+from oee_tabular.inference import profile_ascent
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import extreme_value
 from oee_tabular.lab.bench import facts_of, families_redrawn, families_unrecorded
@@ -112,11 +112,11 @@ def measure_ends(problem: Problem, policy: Array, zeta: TransitionRatio) -> Row:
     fitted = zeta.values.data * problem.simulator.transitions.data
     fitted = fitted / evidence.rows.spread(evidence.rows.sums(fitted))
     found: Row = {}
-    usual = likelihood.MAX_DRAWN_DIRECTIONS
+    usual = profile_ascent.MAX_DRAWN_DIRECTIONS
     try:
-        likelihood.MAX_DRAWN_DIRECTIONS = N_DIRECTIONS
+        profile_ascent.MAX_DRAWN_DIRECTIONS = N_DIRECTIONS
         for factor in FACTORS:
-            ends = likelihood.likelihood_ends(
+            ends = profile_ascent.likelihood_ends(
                 within_factor(evidence, fitted, factor), NORMAL_LEVEL
             )
             found[f"low_{factor:g}"], found[f"high_{factor:g}"] = (
@@ -125,7 +125,7 @@ def measure_ends(problem: Problem, policy: Array, zeta: TransitionRatio) -> Row:
             worst, best = find_extremes(evidence, fitted, factor)
             found |= {f"worst_{factor:g}": worst, f"best_{factor:g}": best}
     finally:
-        likelihood.MAX_DRAWN_DIRECTIONS = usual
+        profile_ascent.MAX_DRAWN_DIRECTIONS = usual
     return found
 
 
