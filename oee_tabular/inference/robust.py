@@ -187,14 +187,20 @@ def _solve_rows(
     The maximisers are written into p.
     """
     bound, kl = np.empty((2, len(radius)))
+    rows = evidence.rows
+    # a row without a ball and without room is what it is, in any order
+    has_room = rows.sums((evidence.high > evidence.low).astype(np.float64)) > 0
+    own = np.flatnonzero(rows.spread(has_room | np.isfinite(radius)))
+    order = np.arange(len(v))
+    order[own] = own[order_by_row(v[own], rows.spread(np.arange(len(rows)))[own])]
     worst_rows(
         radius,
         evidence.phat,
         v,
-        order_by_row(v, evidence.rows.spread(np.arange(len(evidence.rows)))),
+        order,
         evidence.low,
         evidence.high,
-        evidence.rows.indptr,
+        rows.indptr,
         guesses,
         p,
         np.empty(len(p)),
