@@ -179,7 +179,9 @@ def _connect(address: str) -> Any:
     try:
         return Client(address, timeout=CONNECT, set_as_default=True)  # type: ignore[no-untyped-call]
     except Exception as error:  # another server may answer anything
-        raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
+        raise OSError(
+            f"no dask scheduler answers at {_checks.show(address)}: {error!s:.200}"
+        ) from None
 
 
 def _begin_worker(parent: int, is_command: bool, safe_path: str | None) -> None:

@@ -761,6 +761,8 @@ family(target=PAIR.target.with_initial(np.eye(30)[0]))  ->  target must have the
 family(about=" ")  ->  about must be a sentence that says what the simulator has wrong; got ' '
 family(length=2.5)  ->  length must be a positive integer; got 2.5
 PAIR.size(-1)  ->  per_row must be in [0, inf); it is -1
+gymnasium_simulator("Pendulum-v1", actions=10**12)  ->  actions must be at most ... in all; there are 1000000000000
+gymnasium_simulator("Pendulum-v1", actions=[])  ->  actions must have a level or a command; it is empty
 PAIR.size(1e308)  ->  per_row must be at most 1.55297e+14; it is 1e+308
 oee.bench.run("simulator", families=np.ma.masked_array([1.0]))  ->  families[0] must be a text
 oee.bench.run("simulator", sizes=NotImplemented)  ->  sizes must be numbers; got NotImplementedType

@@ -479,13 +479,15 @@ def load_kinova_log(
                           actions are 3-dimensional commands)
     """
     found = ContinuousTransitions.load(path)
+    # several paths are read as one log
+    is_one = isinstance(path, str | os.PathLike)
+    shown = _checks.show(os.fspath(path) if is_one else path)
     try:
         return hand_log(found, speed=speed)
     except ArgumentError as error:
-        argument = f"{os.fspath(path)!r}: {error.argument}"
-        raise ArgumentError(argument, error.rule) from None
+        raise ArgumentError(f"{shown}: {error.argument}", error.rule) from None
     except ValueError as error:
-        raise ValueError(f"{os.fspath(path)!r}: {error}") from None
+        raise ValueError(f"{shown}: {error}") from None
 
 
 def _positions(states: Array, name: str) -> Array:

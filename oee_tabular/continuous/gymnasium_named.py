@@ -230,7 +230,7 @@ def _parse_state(state: str) -> dict[str, Any]:
     if len(names) < 2:
         raise ArgumentError(
             "--task-option state",
-            f"must be like my_module:get,set, two functions; got {state!r}",
+            f"must be like my_module:get,set, two functions; got {_checks.show(state)}",
         )
     with own_modules():
         specs = [name if ":" in name else f"{module}:{name}" for name in names]
@@ -351,6 +351,10 @@ def action_set(space: Any, given: RealArrayLike | None = None) -> Array:
     count = N_LEVELS.get(k, 3) if given is None else given
     if isinstance(count, int | np.integer):
         n = _checks.positive_integer(count, "actions")
+        if n > MAX_COMMANDS:
+            raise ArgumentError(
+                "actions", f"must be at most {MAX_COMMANDS} in all; there are {n}"
+            )
         if not np.isfinite([space.low, space.high]).all():
             raise ArgumentError(
                 "actions",
