@@ -256,6 +256,17 @@ def write_all(
             (folder / name).unlink()
 
 
+def text_bytes(text: str) -> bytes:
+    r"""Encode text for a file as UTF-8.
+
+    Half of a surrogate pair, which has no code, is written as Python escapes it.
+
+    >>> text_bytes("é \ud800")
+    b'\xc3\xa9 \\ud800'
+    """
+    return text.encode("utf-8", "backslashreplace")
+
+
 def csv_bytes(frame: Any, **options: Any) -> bytes:
     """Write a DataFrame as CSV in which no text is a formula.
 
@@ -266,7 +277,7 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
     defused = frame.map(_defuse)
     defused.columns = [_defuse(label) for label in frame.columns]
     text: str = defused.to_csv(index=False, **options)
-    return text.encode()
+    return text_bytes(text)
 
 
 def _defuse(value: object) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import functools
 import inspect
@@ -38,7 +39,22 @@ def suggest_keywords(door: Any) -> Any:
     if not isinstance(door, type):
         return _wrap(door, door.__name__)
     door.__init__ = _wrap(door.__init__, door.__name__)  # type: ignore[misc]
+    if dataclasses.is_dataclass(door) and "__repr__" in vars(door):
+        door.__repr__ = _safe(door.__repr__)  # type: ignore[method-assign]
     return door
+
+
+def _safe(write: Callable[[Any], str]) -> Callable[[Any], str]:
+    """Return a ``__repr__`` that raises nothing, whatever an option's own raises."""
+
+    @functools.wraps(write)
+    def text(self: Any) -> str:
+        try:
+            return write(self)
+        except Exception:  # the repr of a user's object may raise anything
+            return object.__repr__(self)
+
+    return text
 
 
 def _wrap(function: Callable[P, T], name: str) -> Callable[P, T]:

@@ -48,6 +48,10 @@ class _Frame:
     """Stand for a data frame of pandas."""
 
 
+class _SeedNumbers:
+    """Stand for the seed of a result: None, an integer, or a sequence of integers."""
+
+
 class _Pandas:
     DataFrame = _Frame
 
@@ -66,6 +70,7 @@ _NAMES: dict[str, Any] = {
     "BoolArray": _Flags,
     "Column": _AnyArray,
     "Csr": _Matrix,
+    "SeedNumbers": _SeedNumbers,
     "DiagnosticsField": Mapping[str, Any],
     "pd": _Pandas,
 }
@@ -416,6 +421,22 @@ def _sparse(value: Any, name: str) -> Any:
     return value
 
 
+def _seed(value: Any, name: str) -> Any:
+    """Require None, an integer, or a sequence of integers."""
+    if value is None or _checks.is_integer(value):
+        return value
+    is_sequence = isinstance(value, list | tuple) or (
+        isinstance(value, np.ndarray) and value.ndim == 1
+    )
+    if not is_sequence or not all(_checks.is_integer(number) for number in value):
+        raise ArgumentError(
+            name,
+            "must be None, an integer or a sequence of integers; got"
+            f" {_checks.show(value)}",
+        )
+    return value
+
+
 def _frame(value: Any, name: str) -> Any:
     """Require a data frame of pandas."""
     pandas = sys.modules.get("pandas")
@@ -570,6 +591,7 @@ _SIMPLE: dict[Any, Check | None] = {
     _Flags: functools.partial(_array, "b", "an array of True and False"),
     _AnyArray: functools.partial(_array, _ANY_KIND, "an array"),
     _Matrix: _sparse,
+    _SeedNumbers: _seed,
     _Frame: _frame,
 }
 

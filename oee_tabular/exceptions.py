@@ -37,6 +37,9 @@ __all__ = [
 ]
 
 
+MAX_NAME_CHARACTERS = 300  # of an argument in a message
+
+
 def _rebuild(
     kind: type[BaseException], args: tuple[Any, ...], fields: dict[str, Any]
 ) -> BaseException:
@@ -54,6 +57,13 @@ def _text(value: object) -> str:
     the process.
     """
     return value if isinstance(value, str) else f"<{type(value).__name__}>"
+
+
+def _shorten(name: str) -> str:
+    """Return a name without its middle where it is longer than anyone reads."""
+    if len(name) <= MAX_NAME_CHARACTERS:
+        return name
+    return f"{name[:200]}...{name[-97:]}"
 
 
 class ArgumentError(ValueError):
@@ -82,7 +92,7 @@ class ArgumentError(ValueError):
     """
 
     def __init__(self, argument: str, rule: str) -> None:
-        super().__init__(f"{_text(argument)} {_text(rule)}")
+        super().__init__(f"{_shorten(_text(argument))} {_text(rule)}")
         self.argument = argument
         self.rule = rule
 

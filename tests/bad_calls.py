@@ -607,6 +607,8 @@ plot_variance_growth({})  ->  variances must hold at least one
 plot_variance_growth({"a": [-1.0]})  ->  variances['a'][0] must be nonnegative
 plot_intervals(["a"], [1], [0, 1], [2])  ->  ...one length; they have 1, 1, 2, 1 and 1
 plot_intervals(["a"], [1], [0], [2], limits=(1, 1))  ->  limits must be (low, high)
+plot_intervals(["a", ["b"]], [1, 2], [0, 1], [2, 3])  ->  names[1] must be a text; got ['b']
+plot_intervals(["a", "b"], [1, 2], [0, 1], [2, 3], groups=["x", None])  ->  groups[1] must be a text; got None
 plot_intervals([], [], [], [])  ->  values must have a finite number, or lower and upper
 plot_intervals(["a"], [np.nan], [np.nan], [np.nan])  ->  values must ...there is nothing to draw
 plot_values([])  ->  records must hold at least one finite value
@@ -767,6 +769,17 @@ PAIR.size(1e308)  ->  per_row must be at most 1.55297e+14; it is 1e+308
 oee.bench.run("simulator", families=np.ma.masked_array([1.0]))  ->  families[0] must be a text
 oee.bench.run("simulator", sizes=NotImplemented)  ->  sizes must be numbers; got NotImplementedType
 oee.testing.as_code(ITSELF)  ->  value must not be nested so deep, or hold itself
+PAIR.log(2**40, seed=0)  ->  n must be small enough for this machine's memory; 1099511627776 needs
+oee.bench.run("simulator", seeds=2**53)  ->  seeds must be small enough for this machine's memory
+replace(REPORT, seed=sparse.csr_array(np.eye(3)))  ->  seed must be None, an integer or a sequence of integers; got <csr_array
+replace(REPORT, seed=[[1], [2, 3]])  ->  seed must be None, an integer or a sequence of integers; got [[1], [2, 3]]
+replace(REPORT, seed="x")  ->  seed must be None, an integer or a sequence of integers; got 'x'
+replace(RAGGED, behavior=RAGGED.behavior * 2)  ->  behavior[0] must sum to 1
+replace(RAGGED, policy=RAGGED.policy[:1])  ->  behavior must have shape (1, 2)
+RAGGED.with_rewards(1e308, 0.0)  ->  scale must leave rewards that double precision holds; 1e+308 * 7 + 0 is too large
+RAGGED.with_rewards(1.0, -1.7e308).with_rewards(2.0, 0.0)  ->  scale must leave rewards that double precision holds
+replace(RAGGED_PLAN, distribution=2 * RAGGED_PLAN.distribution)  ->  distribution
+  must have nonnegative shares that sum to 1; ...their sum 2
 PAIR.log(3, seed="x")  ->  seed must be what numpy.random.default_rng takes; got 'x'
 families(-1)  ->  seed must be an integer from 0; got -1
 families(0.5)  ->  seed must be an integer from 0; got 0.5

@@ -29,6 +29,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 from fuzz_child import Child, allow
@@ -84,6 +85,8 @@ ALIASES = {  # words of the command line, which the same errors serve
 BLANK = ("row_changes", "monte_carlo_value", "spread")
 
 
+# which make as many steps in a continuous task as are asked for
+STEPPED = {"train_expert", "corrected_value"}
 OF_THE_ARM = {"fit_hand", "record_goals", "hand_log", "load_kinova_log", "KinovaHand"}
 
 
@@ -376,6 +379,9 @@ def refusal(error, values, replaced):
         return "long", f"{len(text)} characters: {text}"
     if re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text):
         return "control", ascii(text)
+    files = [values[name] for name in replaced if isinstance(values[name], Path)]
+    if any(str(error).startswith(repr(str(path))) for path in files):
+        return "refused", text  # a file is called by its name
     if isinstance(error, OSError | ImportError) or named(str(error), values):
         return "refused", text
     return "nameless", text
@@ -411,7 +417,7 @@ def make_call(seed, k, every, calls):
     for argument in replaced:
         values[argument] = hostile(rng, values[argument])
         # the physics runs for as many steps as are asked for
-        if name in OF_THE_ARM and isinstance(values[argument], int):
+        if name in OF_THE_ARM | STEPPED and isinstance(values[argument], int):
             values[argument] = min(values[argument], 3)
     return name, values, replaced
 

@@ -25,10 +25,15 @@ from oee_tabular import ContinuousTransitions, FiniteMDP, Transitions
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
 PAIR = oee.bench.families()["corridor30"]
+RAGGED = oee.testing.case("ragged")
+RAGGED_PLAN = oee.plan_data_collection(
+    RAGGED.problem(100, seed=0), RAGGED.policy, n=100
+)
 GRID = oee.tasks.gridworld(3, 0.3)
 STIFF = oee.tasks.gridworld(3, 0.0)
 UNIFORM = oee.uniform_policy(GRID)
 LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
+REPORT = oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators="simulator", seed=0)
 PHI = np.arange(120.0) % 7
 KEYS = np.arange(120) % 3
 HALVES = [[0.5, 0.5]] * 2

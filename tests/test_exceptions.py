@@ -170,3 +170,10 @@ def test_the_package_s_own_warnings_can_be_filtered():
         warnings.simplefilter("ignore", OeeWarning)
         read_frame()
     assert caught == []
+
+
+def test_an_endless_name_of_an_argument_is_shortened_and_kept():
+    error = oee.exceptions.ArgumentError("x" * 10**6, "must be short")
+    assert len(str(error)) < 400
+    assert str(error).endswith("x must be short")
+    assert len(error.argument) == 10**6

@@ -114,3 +114,26 @@ def test_an_unknown_keyword_of_a_function_below_is_not_taken_for_one_of_the_door
     with pytest.raises((KeyError, TypeError)) as raised:
         oee.evaluate(problem, [0, 0, 0, 0], estimators=[estimator])
     assert not isinstance(raised.value, UnknownKeywordError)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda hostile: oee.ratio.Joint(ridge=hostile),
+        lambda hostile: oee.ratio.InClass(features=[0.0], lower=hostile),
+        lambda hostile: oee.estimators.Estimate(1.0, diagnostics={"mine": hostile}),
+    ],
+)
+def test_what_holds_an_object_without_a_text_has_a_text(make):
+    class Unwritable(float):
+        def __repr__(self):
+            raise RuntimeError("no text")
+
+        def __call__(self, n):
+            return 0.0
+
+    assert repr(make(Unwritable(0.5)))
+
+
+def test_a_number_of_more_digits_than_python_writes_has_a_text():
+    assert repr(oee.ratio.Quotient(ridge=10**5000))

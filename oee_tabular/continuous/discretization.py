@@ -639,7 +639,12 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
 
     It warns where the error is beyond the tolerance and Monte Carlo's own error.
     """
-    error, noise = model.closure_error(n_episodes=n_episodes)
+    try:
+        error, noise = model.closure_error(n_episodes=n_episodes)
+    except ArgumentError as refusal:
+        if refusal.argument != "n_episodes":
+            raise
+        raise ArgumentError("closure_episodes", refusal.rule) from None
     if abs(error) > CLOSURE_TOLERANCE + 2.0 * noise:
         text = (
             f"{model.cells.extent()} is too coarse for the steps of {model.task.name}:"

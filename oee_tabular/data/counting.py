@@ -617,7 +617,7 @@ def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:
     """Return splitmix64 of number + a hash of the name as a place in the draw."""
-    digest = hashlib.sha256(name.encode()).digest()
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).digest()
     salt = np.uint64(int.from_bytes(digest[:8], "little"))
     step = np.uint64(0x9E3779B97F4A7C15)
     with np.errstate(over="ignore"):

@@ -261,7 +261,7 @@ def is_label(label: Any, labels: list[Any]) -> bool:
     """Say whether a label is one of these; what cannot be compared is none."""
     try:
         return label in labels and not isinstance(label, list)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         return False
 
 

@@ -71,6 +71,8 @@ NULL_FOLDER = "__HIVE_DEFAULT_PARTITION__"  # of a value that is missing, as Hiv
 PARQUET = "read_parquet($path, hive_partitioning = false, union_by_name = false)"
 DIGEST_KEY = b"oee_tabular_digest"
 DIGEST_MARK = b"oee_tabular_sha256:"
+# what is left of them where a few bytes are damaged
+DIGEST_REMNANTS = (b"oee_tabular", b"lar_digest", b"lar_sha256:")
 EMPTY_DIGEST = b"0" * 64
 TAIL_BYTES = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
 
@@ -580,7 +582,8 @@ def _read_digest(path: str) -> tuple[bytes, bytes, int]:
         handle.seek(n_before)
         start, mark, rest = handle.read().rpartition(DIGEST_MARK)
         if not mark:  # another program's, or a file of ours whose mark is damaged
-            return b"", DIGEST_KEY if DIGEST_KEY in rest else b"", -1
+            is_ours = any(remnant in rest for remnant in DIGEST_REMNANTS)
+            return b"", DIGEST_KEY if is_ours else b"", -1
         digest = hashlib.sha256()
         handle.seek(0)
         for k in range(0, n_before, TAIL_BYTES):

@@ -169,6 +169,14 @@ class Plan:
         for name, some in (("policies", self.policies), ("costs", self.costs)):
             if not some:
                 raise ArgumentError(name, "must have a policy; it is empty")
+        with np.errstate(over="ignore"):
+            total = float(self.distribution.sum())
+        if self.distribution.min() < 0.0 or abs(total - 1.0) > _checks.SUM_TOLERANCE:
+            raise ArgumentError(
+                "distribution",
+                "must have nonnegative shares that sum to 1; the smallest is"
+                f" {self.distribution.min():g} and their sum {total:g}",
+            )
         n_states, n_actions = self.counts.shape
         for k, (s, a) in enumerate(self.next_pairs):
             if not (0 <= s < n_states and 0 <= a < n_actions):

@@ -117,7 +117,7 @@ class Diagnostics(dict[str, Any]):
     ) -> None:
         try:
             super().__init__(facts, **more)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, NotImplementedError):
             raise ArgumentError(
                 "facts",
                 "must be a mapping, or pairs of key and value; got"
@@ -132,6 +132,13 @@ class Diagnostics(dict[str, Any]):
                 )
             if isinstance(field, Diagnostic) and value is not None:
                 field.check(value)
+
+    def __repr__(self) -> str:
+        """Return the text of the dict, whatever the values' own texts raise."""
+        try:
+            return super().__repr__()
+        except Exception:
+            return _checks.show(dict(self))
 
     # what the error and the interval are
     standard_error_of = Diagnostic(

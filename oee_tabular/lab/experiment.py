@@ -12,6 +12,7 @@ import hashlib
 import io
 import itertools
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular import _files
+from oee_tabular import _checks, _files
 from oee_tabular.plots import plot_curves
 from oee_tabular.plots.style import INK, draw_or_warn, own_style
 
@@ -154,6 +155,19 @@ def experiment(
     )
 
 
+BYTES_OF_CELL = 400  # of a dict of a few settings
+
+
+def check_cells(
+    axes: Mapping[str, tuple[Scalar, ...]], repetitions: int, name: str
+) -> None:
+    """Raise an error that names the repetitions where memory cannot hold the cells."""
+    n_points = math.prod(len(values) for values in axes.values())
+    _checks.require_memory(
+        n_points * repetitions, name, repetitions, size=BYTES_OF_CELL
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class RunSettings:
     """Settings that a results folder is made from.
@@ -181,6 +195,10 @@ class RunSettings:
     seed: int
     asked: Mapping[str, Any] = field(default_factory=dict)
     modules: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that the cells can be listed."""
+        check_cells(self.axes, self.repetitions, "repetitions")
 
     def cells(self) -> list[Cell]:
         """Return every cell, in the order of the table."""
@@ -463,7 +481,7 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
     return {
         "table.csv": _files.csv_bytes(table),
         "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
-        "summary.md": page(settings, finding, summary).encode(),
+        "summary.md": _files.text_bytes(page(settings, finding, summary)),
         **{f"figure.{kind}": content for kind, content in (pictures or {}).items()},
     }
 

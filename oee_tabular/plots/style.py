@@ -120,6 +120,17 @@ def places(names: Sequence[str]) -> list[int]:
     ]
 
 
+def check_labels(names: object, argument: str, rule: str) -> tuple[Any, ...]:
+    """Convert names for a picture to a tuple of texts or numbers."""
+    labels = _checks.collection(names, argument, rule)
+    for k, label in enumerate(labels):
+        if not isinstance(label, str | int | float | np.generic):
+            raise ArgumentError(
+                f"{argument}[{k}]", f"must be a text; got {_checks.show(label)}"
+            )
+    return labels
+
+
 def shorten(name: object, longest: int = 36) -> str:
     """Return a name as a picture can hold it: printable, and not too long."""
     whole = (

@@ -197,7 +197,7 @@ def plot_intervals(
     >>> [label.get_text() for label in ax.get_yticklabels()]
     ['', 'oee', 'pdis']
     """
-    names = _checks.collection(names, "names", "names, one a line")
+    names = style.check_labels(names, "names", "names, one a line")
     given = {"values": values, "lower": lower, "upper": upper}
     plain = {
         name: _checks.without_known_labels(array, names)
@@ -208,7 +208,7 @@ def plot_intervals(
     ]
     called: Sequence[str] = [""] * len(names)
     if groups is not None:
-        called = _checks.collection(groups, "groups", "names, one a line")
+        called = style.check_labels(groups, "groups", "names, one a line")
     group = np.array([*map(shorten, called)], dtype=object)
     check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
     sizes = [len(column) for column in (names, *arrays, group)]
@@ -447,7 +447,7 @@ def plot_states(
     called: Any = (
         range(len(share))
         if names is None
-        else _checks.collection(names, "names", "names, one a state")
+        else style.check_labels(names, "names", "names, one a state")
     )
     if len(called) != len(share):
         raise ArgumentError(

@@ -225,7 +225,8 @@ def write_report(
 def plain(value: object) -> Any:
     """Convert a value to what JSON holds.
 
-    NumPy's numbers become Python's; nan and infinities become None.
+    NumPy's numbers and arrays become Python's; nan and infinities become None. What
+    JSON does not hold becomes a text.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
@@ -233,9 +234,13 @@ def plain(value: object) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return _checks.show(value)
 
 
 def summary(path: Path) -> str:

@@ -34,6 +34,7 @@ from oee_tabular.mdp.naming import Names
 from oee_tabular.plots.style import draw_or_warn
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
+from oee_tabular.report.files import plain
 from oee_tabular.report.tables import diagnostic_columns
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 from oee_tabular.typing import Array, BoolArray
@@ -107,6 +108,7 @@ def render(
     page = environment.get_template("report.html.j2").render(
         title=title or f"Evaluation of {name}",
         report=report,
+        facts=plain(report.facts),
         answers=answers,
         lines={answer.policy: list_lines(report, answer.policy) for answer in answers},
         comparison={row["policy"]: row for row in report.comparison()},
@@ -198,11 +200,11 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
             f"log {name}": column for name, column in problem.recorded.columns().items()
         }
     arrays |= {f"policy {name}": policy for name, policy in policies.items()}
-    plain = {
+    converted = {
         name: x.astype(np.float64 if x.dtype.kind in "biuf" else str)
         for name, x in arrays.items()
     }
-    return _files.digest(plain)[:8]
+    return _files.digest(converted)[:8]
 
 
 def plan_command(report: Report) -> str:

@@ -24,7 +24,7 @@ from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain, write_report
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, SeedNumbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -175,7 +175,7 @@ class Report:
     normalized: bool
     discount: float
     horizon: int | None
-    seed: Any
+    seed: SeedNumbers
     facts: Mapping[str, Any]
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     problem: Problem | None = field(default=None, repr=False, compare=False)
@@ -743,7 +743,7 @@ class Report:
         file = None if path is None else check_page(path)
         page = render(self, title=title, grid=grid)
         if file is not None:
-            _files.write_all(file.parent, {file.name: page.encode()})
+            _files.write_all(file.parent, {file.name: _files.text_bytes(page)})
         return page
 
     def _repr_html_(self) -> str:

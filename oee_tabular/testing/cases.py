@@ -21,7 +21,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array, BoolArray, IntArray, IntArrayLike, Seed
 
@@ -65,13 +65,8 @@ class Case:
 
     def __post_init__(self) -> None:
         for name in ("policy", "behavior"):
-            shape = (self.simulator.n_states, self.simulator.n_actions)
-            if getattr(self, name).shape != shape:
-                raise ArgumentError(
-                    name,
-                    f"must have shape {shape}; it has shape"
-                    f" {getattr(self, name).shape}",
-                )
+            policy = check_policy(getattr(self, name), self.simulator, name=name)
+            object.__setattr__(self, name, policy)
         _checks.optional_horizon(self.horizon)
         _checks.positive_integer(self.steps, "steps")
 
@@ -232,6 +227,17 @@ class Case:
         """
         scale = _checks.number_in(scale, "scale", -np.inf, np.inf)
         shift = _checks.number_in(shift, "shift", -np.inf, np.inf)
+        largest: float = max(
+            np.abs(mdp.rewards).max() for mdp in (self.simulator, self.target)
+        )
+        with np.errstate(over="ignore"):
+            size = abs(scale) * largest + abs(shift)
+        if not np.isfinite(size):
+            raise ArgumentError(
+                "scale",
+                "must leave rewards that double precision holds;"
+                f" {scale:g} * {largest:g} + {shift:g} is too large",
+            )
         pair = []
         for mdp in (self.simulator, self.target):
             rewards: Any = scale * mdp.rewards + shift

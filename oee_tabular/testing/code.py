@@ -84,8 +84,12 @@ def _write(value: object) -> str:
         return _write(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return f"{'-' if value < 0 else ''}np.{'nan' if np.isnan(value) else 'inf'}"
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, bool):
         return repr(value)
+    for kind in (int, float, str):
+        if isinstance(value, kind):
+            # of a subclass the plain value: its own text may be anything
+            return kind.__repr__(value)
     if isinstance(value, Mapping):
         pairs = (f"{_write(key)}: {_write(item)}" for key, item in value.items())
         return f"{{{', '.join(pairs)}}}"
@@ -181,5 +185,7 @@ def program(parts: Mapping[str, object], recipes: Mapping[str, str]) -> str:
             if name in recipes:
                 lines.append(f"{name} = {recipes[name]}")
             else:
-                lines.append(f"# {name}: {value!r} is not written out: {error}")
+                lines.append(
+                    f"# {name}: {_checks.show(value)} is not written out: {error}"
+                )
     return "\n".join(lines)

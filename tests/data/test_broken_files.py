@@ -203,6 +203,34 @@ def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
                     read(path)
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {b"oee_tabular_digest": b"oee_tabular_di_est"},
+        {b"oee_tabular_sha256:": b"oee_*abular_sha256:"},
+        {
+            b"oee_tabular_digest": b"oee_tabular_di_est",
+            b"oee_tabular_sha256:": b"oee_*abular_sha256:",
+        },
+        {
+            b"oee_tabular_digest": b"oee-tabular_digest",
+            b"oee_tabular_sha256:": b"oee_tabular_sha25_:",
+        },
+    ],
+)
+def test_a_parquet_file_whose_own_mark_is_damaged_is_no_other_program_s(
+    damage, tmp_path
+):
+    path = tmp_path / "l.parquet"
+    LOG.save(path)
+    data = path.read_bytes()
+    for old, new in damage.items():
+        data = data.replace(old, new)
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"l\.parquet' must be as it was saved"):
+        oee.Transitions.load(path)
+
+
 # ---- tables
 
 

@@ -5,12 +5,14 @@ takes.
 import json
 import math
 import re
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
@@ -712,3 +714,14 @@ def test_the_order_of_policies_changes_no_number_of_a_contest(problem):
     )
     assert one.comparison() == two.comparison()
     assert one.headline == two.headline
+
+
+def test_facts_of_any_kind_are_written(report, tmp_path):
+    """Arrays as lists, and what JSON does not hold as a text."""
+    facts = {"shape": np.arange(3), "rows": sparse.eye_array(3), "empty": np.zeros(0)}
+    told = replace(report, facts={**report.facts, **facts})
+    assert "[0, 1, 2]" in told.to_html()
+    told.save(tmp_path)
+    written = json.loads((tmp_path / "report.json").read_text())["facts"]
+    assert written["shape"] == [0, 1, 2]
+    assert "(3, 3)" in written["rows"]

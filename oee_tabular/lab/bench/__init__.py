@@ -54,7 +54,14 @@ from oee_tabular.lab.bench.league import (
     league_files,
     league_of,
 )
-from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
+from oee_tabular.lab.experiment import (
+    Cell,
+    Experiment,
+    Row,
+    RunSettings,
+    Stream,
+    check_cells,
+)
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
 from oee_tabular.testing.conformance import own_estimator
 from oee_tabular.typing import PolicyLike, SeedNumbers
@@ -232,6 +239,7 @@ def plan(
     """
     count = _checks.positive_integer(seeds, "seeds")
     first = check_seed(seed)
+    check_cells({}, count, "seeds")
     limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)

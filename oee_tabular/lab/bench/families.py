@@ -449,7 +449,7 @@ class Families(Mapping[str, Family]):
 
     def __repr__(self) -> str:
         """Return the seed and the names."""
-        return f"Families(seed {self.seed}: {', '.join(self._makers)})"
+        return f"Families(seed {_checks.show(self.seed)}: {', '.join(self._makers)})"
 
     def missing(self, name: str) -> str:
         """Return why a name is not among the families, and which names are near.

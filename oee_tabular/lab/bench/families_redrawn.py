@@ -794,7 +794,9 @@ def _draw(
     make: Callable[[Generator], tuple[Family, Family]], name: str, seed: int
 ) -> tuple[Family, Family]:
     """Draw the models of a kind from random numbers of its own."""
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")
+    words = np.frombuffer(
+        hashlib.sha256(name.encode("utf-8", "surrogatepass")).digest()[:16], dtype=">u4"
+    )
     stream = np.random.SeedSequence(seed, spawn_key=words.tolist())
     return make(np.random.default_rng(stream))
 

@@ -31,6 +31,8 @@ from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array, Seed
 
+COLUMNS_OF_LOG = 8  # numbers of 8 bytes for each transition of a log
+
 
 @suggest_keywords
 @checked(
@@ -242,6 +244,7 @@ class Family:
             The log, with episodes, time steps and behaviour probabilities.
         """
         size = _checks.positive_integer(n, "n")
+        _checks.require_memory(COLUMNS_OF_LOG * size, "n", size)
         generator = _checks.generator(seed)
         episodes = 1 + math.ceil(1.2 * size / self.moves_per_state_action.sum())
         while True:

@@ -827,8 +827,8 @@ def league_files(
         "table.csv": _files.csv_bytes(league.table),
         "cells.csv": _files.csv_bytes(league.cells, float_format="%.6g"),
         "league.csv": _files.csv_bytes(league.league, float_format="%.6g"),
-        "league.md": shown.page(about or {}, command).encode(),
-        "league.tex": shown.to_latex().encode(),
+        "league.md": _files.text_bytes(shown.page(about or {}, command)),
+        "league.tex": _files.text_bytes(shown.to_latex()),
     }
     for name in PICTURES:
         draw = functools.partial(
