@@ -341,20 +341,27 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
         given: Any = [path]
     else:
         given = list(_checks.collection(path, "path", "paths of files"))
+        # asked before the files, of which a list may name a million
+        _refuse_again([one for one in given if isinstance(one, str)])
     some = [file for one in given for file in _files_at(_files.local(one))]
     if not some:
         raise ArgumentError("path", "must name files; it is an empty list")
-    numbers = Counter(file.path for file in some)
-    again = sorted(str(name) for name, number in numbers.items() if number > 1)
-    if again:
-        raise ArgumentError(
-            "path", f"must name each file once; {again[0]!r} is named twice"
-        )
+    _refuse_again([file.path for file in some])
     _refuse_links_to_one_file(some)
     if warns:
         for one in given:
             _warn_of_folder(Path(_files.local(one)), some)
     return some
+
+
+def _refuse_again(paths: Sequence[str]) -> None:
+    """Raise an ArgumentError where a path is there twice."""
+    numbers = Counter(paths)
+    again = sorted(str(name) for name, number in numbers.items() if number > 1)
+    if again:
+        raise ArgumentError(
+            "path", f"must name each file once; {again[0]!r} is named twice"
+        )
 
 
 def _refuse_links_to_one_file(files: Sequence[LogFile]) -> None:

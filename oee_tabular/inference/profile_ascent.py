@@ -20,6 +20,9 @@ again; else a grows by a fifth, up to 1. Rows that are best for x + a (G - x) li
 ascent of J from those that are best for x. An iteration is two linear solves, for V and
 d, and a pass over the rows.
 
+The same ascent finds the ends of a gain, J(pi) - J(pi_0): both values are J of the same
+rows, G is the difference of their gradients, and what the policies share cancels.
+
 J is not concave in the rows, and where the frequencies never lead to a reward it is
 flat: ascents are made from several directions, the same each time, and the farthest
 ends are taken. No ascent proves that its end is the farthest one. With a horizon rows
@@ -114,23 +117,33 @@ class End(NamedTuple):
     is_final: bool
 
 
+class Part(NamedTuple):
+    """One policy of the sum whose ends are sought, sum_k sign_k J(pi_k).
+
+    ``weight`` is pi_k(a | s) at each entry.
+    """
+
+    sign: float
+    weight: Array
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyRows:
-    """The rows that the policy reaches in some model.
+    """The rows that a policy reaches in some model, or one of two policies.
 
     The models are on the simulator's support. Row r of state state[r] has the entries
-    indptr[r] .. indptr[r+1]; entry i leads to column[i], pays pay[i], has weight[i] =
-    pi(a | s), and edge[i] is the place of (state, column) among the edges of the graph
-    of states. ``entries`` are the entries of the evidence; states are numbered anew;
-    ``n_steps`` is 0 without a horizon. Rewards are divided by ``unit``, the largest
-    one, so that floats hold the squares of values.
+    indptr[r] .. indptr[r+1]; entry i leads to column[i], pays pay[i], and edge[i] is
+    the place of (state, column) among the edges of the graph of states. ``parts`` are
+    the policies whose values are summed, by their signs. ``entries`` are the entries of
+    the evidence; states are numbered anew; ``n_steps`` is 0 without a horizon. Rewards
+    are divided by ``unit``, the largest one, so that floats hold the squares of values.
     """
 
     entries: Any
     indptr: IntArray
     state: IntArray
     column: IntArray
-    weight: Array
+    parts: tuple[Part, ...]
     pay: Array
     phat: Array
     n: Array
@@ -145,10 +158,21 @@ class PolicyRows:
     unit: float
 
     @classmethod
-    def from_evidence(cls, evidence: Evidence) -> PolicyRows:
-        """Select the rows that the policy reaches, and number their states."""
+    def from_evidence(
+        cls, evidence: Evidence, minus: Array | None = None
+    ) -> PolicyRows:
+        """Select the rows that the policies reach, and number their states.
+
+        The parts are J of the evidence's policy and, where ``minus`` is given, less J of
+        that policy, of shape (S, A).
+        """
         model = evidence.model
-        rows = evidence.rows.select(evidence.reachable)
+        reached = evidence.reachable
+        signed = [(1.0, evidence.policy)]
+        if minus is not None:
+            reached = reached | replace(evidence, policy=minus).reachable
+            signed.append((-1.0, minus))
+        rows = evidence.rows.select(reached)
         states, place = np.unique(rows.state, return_inverse=True)
         n = len(states)
         number = np.zeros(model.n_states, dtype=np.int64)
@@ -162,7 +186,10 @@ class PolicyRows:
             rows.indptr,
             state,
             column,
-            rows.spread(evidence.policy.reshape(-1)[rows.number]),
+            tuple(
+                Part(sign, rows.spread(policy.reshape(-1)[rows.number]))
+                for sign, policy in signed
+            ),
             evidence.transition_rewards[rows.entries] / unit,
             evidence.phat[rows.entries],
             evidence.n[rows.number],
@@ -253,16 +280,17 @@ class Ascent:
     ``p`` are the rows, found for ``last_x``, ``value`` is J of them, ``divergence``
     their sum of n KL, and ``gradient`` the gradient of J there (negative on the way
     down); ``change`` is the change of J in the last iteration. ``x`` is the next
-    direction, and ``values``, ``visits`` and ``slope`` are V, d and the gradient of J of
-    the rows that were evaluated last. ``reference`` is J of the frequencies.
+    direction; ``values`` and ``visits`` are V and d of each policy in the rows that
+    were evaluated last, and ``slope`` the gradient of J there. ``reference`` is J of the
+    frequencies.
     """
 
     p: Array
     last_x: Array
     gradient: Array
     x: Array
-    values: Array
-    visits: Array
+    values: list[Array]
+    visits: list[Array]
     slope: Array
     value: float
     limit: float = 0.0
@@ -278,10 +306,14 @@ class Ascent:
 
     def towards(self, sign: float, x: Array) -> Ascent:
         """Return an ascent of its own from here, on a side and along a direction."""
-        own = replace(self, sign=sign, x=x.copy())
-        own.values = self.values.copy()
-        own.visits = self.visits.copy()
-        return own
+        # V and d are replaced by new arrays, never written into
+        return replace(
+            self,
+            sign=sign,
+            x=x.copy(),
+            values=self.values.copy(),
+            visits=self.visits.copy(),
+        )
 
     def propose(self, rows: PolicyRows) -> tuple[Array, float]:
         """Return the rows P(x) that are best for x, and their sum of n KL.
@@ -385,25 +417,36 @@ def blend(rows: PolicyRows, share: float, new: Array, p: Array) -> Array:
 
 
 def likelihood_ends(
-    evidence: Evidence, confidence: float, watch: Watch | None = None
+    evidence: Evidence,
+    confidence: float,
+    watch: Watch | None = None,
+    *,
+    minus: Array | None = None,
 ) -> tuple[End, End]:
     """Find the smallest and the largest value in the set.
 
-    Ascents begin along the gradient at the frequencies, along r + gamma V of the
-    simulator, and along drawn directions. They end when the ``watch`` says that time is
-    over, half of it for each end.
+    With a policy ``minus``, (S, A), they are those of the gain, J of the evidence's
+    policy less J of this one, both in the same model. Ascents begin along the gradient
+    at the frequencies, along r + gamma V of the simulator, and along drawn directions.
+    They end when the ``watch`` says that time is over, half of it for each end.
     """
     watch = Watch(None) if watch is None else watch
-    rows = PolicyRows.from_evidence(evidence)
+    rows = PolicyRows.from_evidence(evidence, minus)
     base = _begin(rows, rows.phat)
     own = _begin(rows, evidence.rows.weights[rows.entries])
     # half of chi-square's quantile
     base.limit = float(gammaincinv(0.5, confidence))
     drawn = _draw_directions(rows)
-    ahead = rows.pay + rows.discount * own.values[rows.column]
+    ahead = look_ahead(rows, own.values)
     low, high = (
         _find_end(
-            rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign, part
+            rows,
+            evidence,
+            base,
+            [sign * base.slope, sign * ahead, *drawn],
+            sign,
+            part,
+            minus,
         )
         for sign, part in ((-1.0, watch.part(0.5)), (1.0, watch))
     )
@@ -417,6 +460,7 @@ def _find_end(
     directions: list[Array],
     sign: float,
     watch: Watch,
+    minus: Array | None,
 ) -> End:
     """Find the farthest end of ascents from several directions.
 
@@ -451,9 +495,10 @@ def _find_end(
     promised = np.where(rows.has_data, gains, 0.0).sum()
     whole = evidence.phat.copy()
     whole[rows.entries] = end.p
-    value = policy_value(
-        evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon
-    )
+    model = evidence.with_rows(whole)
+    value = policy_value(model, evidence.policy, horizon=evidence.horizon)
+    if minus is not None:
+        value -= policy_value(model, minus, horizon=evidence.horizon)
     promised = rows.unit * float(promised)
     return End(
         value,
@@ -494,7 +539,9 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     if rows.is_sparse:
         start = np.full(n, 1.0 / ((1.0 - rows.discount) * n))
     zero = np.zeros(len(p))
-    ascent = Ascent(p, zero, zero, zero, np.zeros(n), start, zero, 0.0)
+    values = [np.zeros(n) for _ in rows.parts]
+    visits = [start for _ in rows.parts]
+    ascent = Ascent(p, zero, zero, zero, values, visits, zero, 0.0)
     ascent.value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
     ascent.reference = ascent.value
     return ascent
@@ -526,55 +573,97 @@ def value_of_rows(rows: PolicyRows, p: Array) -> float:
     return rows.unit * _begin(rows, p).value
 
 
+def look_ahead(rows: PolicyRows, values: list[Array]) -> Array:
+    """Return r + gamma V(s') of each entry, summed over the policies by their signs."""
+    ahead = np.zeros(len(rows.pay))
+    for part, ours in zip(rows.parts, values, strict=True):
+        ahead += part.sign * (rows.pay + rows.discount * ours[rows.column])
+    return ahead
+
+
 def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -> float:
-    """Return J at rows p, and fill V, d and the gradient of J of the ascent.
+    """Return sum_k sign_k J(pi_k) at rows p, and fill V, d and the gradient.
 
     In large problems V and d are corrected from those of the previous rows, until a
-    share ``tolerance`` of the residual is left. J = mu V + d residual is then far more
-    precise.
+    share ``tolerance`` of the residual is left.
     """
+    total = 0.0
+    slope = np.zeros(len(p))
+    for k, (sign, weight) in enumerate(rows.parts):
+        if rows.n_steps:
+            value, V, d, gradient = _evaluate_steps(rows, weight * p, weight)
+        elif rows.is_sparse:
+            value, V, d = _solve_near(
+                rows, weight * p, ascent.values[k], ascent.visits[k], tolerance
+            )
+            gradient = centred_gradient(rows, weight, V, d)
+        else:
+            value, V, d = _solve_dense(rows, weight * p)
+            gradient = centred_gradient(rows, weight, V, d)
+        ascent.values[k] = V
+        ascent.visits[k] = d
+        total += sign * value
+        slope += sign * gradient
     if rows.n_steps:
-        return _fill_values_of_steps(rows, p, ascent)
-    weights = rows.weight * p
+        # where the gradient says nothing of a row without data, r + gamma V does
+        starts = rows.indptr[:-1]
+        largest = np.maximum.reduceat(slope, starts)
+        is_flat = (largest == np.minimum.reduceat(slope, starts)) & (rows.n == 0.0)
+        slope = np.where(is_flat[rows.row], look_ahead(rows, ascent.values), slope)
+    ascent.slope = slope
+    return total
+
+
+def _solve_dense(rows: PolicyRows, shares: Array) -> tuple[float, Array, Array]:
+    """Return J, V and d of a policy in a small problem, by LAPACK.
+
+    ``shares`` is pi(a | s) P(s' | s, a) of each entry.
+    """
     n = len(rows.initial)
-    rewards = np.bincount(rows.state, weights * rows.pay, n).astype(np.float64)
-    if not rows.is_sparse:
-        shares = np.bincount(rows.cell, weights, n * n).reshape(n, n)
-        matrix = rows.identity - rows.discount * shares
-        # as numpy's solve does, but both systems by one factorisation
-        factors, pivots, _ = lapack.dgetrf(matrix, overwrite_a=True)
-        ascent.values = lapack.dgetrs(factors, pivots, rewards)[0]
-        ascent.visits = lapack.dgetrs(factors, pivots, rows.initial, trans=1)[0]
-        ascent.slope = centred_gradient(rows, ascent.values, ascent.visits)
-        return float((rows.initial * ascent.values).sum())
-    share = np.bincount(rows.edge, weights)
-    system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
-    solution = solvers.answer(System(system), rewards, ascent.values, tolerance)
-    # the residual, weighted by d, corrects J to second order
-    value = rows.initial @ solution.x + ascent.visits @ solution.missed
-    transposed = System(system, True)
-    visits = solvers.answer(transposed, rows.initial, ascent.visits, tolerance).x
-    ascent.values = solution.x
-    ascent.visits = visits
-    ascent.slope = centred_gradient(rows, ascent.values, visits)
-    return float(value)
+    rewards = np.bincount(rows.state, shares * rows.pay, n).astype(np.float64)
+    between = np.bincount(rows.cell, shares, n * n).reshape(n, n)
+    matrix = rows.identity - rows.discount * between
+    # as numpy's solve does, but both systems by one factorisation
+    factors, pivots, _ = lapack.dgetrf(matrix, overwrite_a=True)
+    V = lapack.dgetrs(factors, pivots, rewards)[0]
+    d = lapack.dgetrs(factors, pivots, rows.initial, trans=1)[0]
+    return float((rows.initial * V).sum()), V, d
 
 
-def _fill_values_of_steps(rows: PolicyRows, p: Array, ascent: Ascent) -> float:
-    """Return J at rows p with a horizon, and fill V, d and the gradient of J.
+def _solve_near(
+    rows: PolicyRows, shares: Array, V: Array, d: Array, tolerance: float
+) -> tuple[float, Array, Array]:
+    """Return J, V and d of a policy in a large problem, from V and d of others.
+
+    With what the solve has missed, J = mu V + d missed is correct to second order.
+    """
+    n = len(rows.initial)
+    rewards = np.bincount(rows.state, shares * rows.pay, n).astype(np.float64)
+    share = np.bincount(rows.edge, shares)
+    kernel = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
+    solution = solvers.answer(System(kernel), rewards, V, tolerance)
+    value = float(rows.initial @ solution.x + d @ solution.missed)
+    transposed = System(kernel, True)
+    visits = solvers.answer(transposed, rows.initial, d, tolerance).x
+    return value, solution.x, visits
+
+
+def _evaluate_steps(
+    rows: PolicyRows, shares: Array, weight: Array
+) -> tuple[float, Array, Array, Array]:
+    """Return J, V, d and the gradient of J of a policy with a horizon.
 
     dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1}).
     """
     n = len(rows.initial)
-    weights = rows.weight * p
     to_go = np.zeros((rows.n_steps + 1, n))
     visits = np.zeros(n)
     worth = np.zeros(len(rows.columns))
     fill_steps(
         rows.edges,
         rows.columns,
-        np.bincount(rows.edge, weights, len(worth)),
-        np.bincount(rows.state, weights * rows.pay, n).astype(np.float64),
+        np.bincount(rows.edge, shares, len(worth)),
+        np.bincount(rows.state, shares * rows.pay, n).astype(np.float64),
         rows.discount,
         to_go,
         rows.initial.copy(),
@@ -582,26 +671,21 @@ def _fill_values_of_steps(rows: PolicyRows, p: Array, ascent: Ascent) -> float:
         visits,
         worth,
     )
-    ascent.values = to_go[0].copy()
-    ascent.visits = visits
-    slope = rows.weight * (visits[rows.state] * rows.pay + worth[rows.edge])
-    # where the gradient says nothing of a row without data, r + gamma V does
-    starts = rows.indptr[:-1]
-    is_flat = np.maximum.reduceat(slope, starts) == np.minimum.reduceat(slope, starts)
-    is_flat &= rows.n == 0.0
-    ahead = rows.pay + rows.discount * ascent.values[rows.column]
-    ascent.slope = np.where(is_flat[rows.row], ahead, slope)
-    return float((rows.initial * ascent.values).sum())
+    V = to_go[0].copy()
+    gradient = weight * (visits[rows.state] * rows.pay + worth[rows.edge])
+    return float((rows.initial * V).sum()), V, visits, gradient
 
 
-def centred_gradient(rows: PolicyRows, values: Array, visits: Array) -> Array:
+def centred_gradient(
+    rows: PolicyRows, weight: Array, values: Array, visits: Array
+) -> Array:
     """Return the gradient of J, centred in each row: the mean does not matter there."""
     gradient = np.empty(len(rows.phat))
     fill_gradient(
         rows.indptr,
         rows.state,
         rows.column,
-        rows.weight,
+        weight,
         rows.pay,
         rows.phat,
         rows.n,

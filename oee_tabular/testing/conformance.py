@@ -186,6 +186,12 @@ def check_numbers(seed: object, repetitions: object) -> None:
         )
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ArgumentError("repetitions", f"must be at least 3; it is {repetitions}")
+    _checks.require_memory(
+        float(repetitions),  # type: ignore[arg-type]
+        "repetitions",
+        repetitions,
+        size=BYTES_OF_REPETITION,
+    )
 
 
 def make_subject(
@@ -244,6 +250,7 @@ def check_law(name: str, subject: Subject) -> Verdict:
 # ---- in a process of its own
 
 EXAMPLE = "my_package.mine:MyEstimator"
+BYTES_OF_REPETITION = 10_800  # of the log of 150 episodes that it draws
 LONGEST = 1e6  # seconds; operating systems wait for little more
 # seconds that compilation and import of this package may take: no fault of the
 # estimator's

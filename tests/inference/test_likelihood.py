@@ -2,6 +2,8 @@
 end.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import printed, random_mdp, random_policy, rngs
@@ -55,12 +57,16 @@ def test_an_end_is_a_member_and_its_value(rng, horizon):
         assert sign * (end.value - frequencies) >= -1e-9 * max(1.0, abs(frequencies))
 
 
-def best_of_slsqp(evidence, sign, n_starts, rng):
+def best_of_slsqp(evidence, sign, n_starts, rng, minus=None):
     """The end by SLSQP over all free probabilities."""
     spread = evidence.rows.spread
-    policy = evidence.policy
+    policies = [(1.0, evidence.policy)]
+    reached = evidence.reachable
+    if minus is not None:
+        policies.append((-1.0, minus))
+        reached = reached | replace(evidence, policy=minus).reachable
     horizon = evidence.horizon
-    free = np.flatnonzero(spread(evidence.reachable & evidence.is_stochastic))
+    free = np.flatnonzero(spread(reached & evidence.is_stochastic))
     pair = spread(np.arange(len(evidence.n)))[free]
     n = spread(evidence.n)[free]
     phat = evidence.phat[free]
@@ -79,12 +85,14 @@ def best_of_slsqp(evidence, sign, n_starts, rng):
         total = sums.T @ (sums @ x)
         base[free] = p = x / total
         model = evidence.with_rows(base)
-        gradient = transition_gradient(model, policy, horizon=horizon)[free]
+        value = 0.0
+        gradient = np.zeros(len(free))
+        for side, policy in policies:
+            value += side * oee.policy_value(model, policy, horizon=horizon)
+            slope = transition_gradient(model, policy, horizon=horizon)
+            gradient += side * slope[free]
         gradient = (gradient - sums.T @ (sums @ (p * gradient))) / total
-        return (
-            -sign * oee.policy_value(model, policy, horizon=horizon),
-            -sign * gradient,
-        )
+        return -sign * value, -sign * gradient
 
     best = -np.inf
     bounds = [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))]
@@ -263,3 +271,64 @@ def test_the_ends_are_the_same_where_kernels_are_not_compiled():
     )
     ends = [printed(script, NUMBA_DISABLE_JIT=off).split() for off in "01"]
     assert_allclose(*(np.array(words, dtype=float) for words in ends), rtol=1e-9)
+
+
+# ---- gains: the ends of J(pi) - J(pi_0)
+
+
+def gain_ends(problem, policy, running):
+    evidence = gather(problem, policy)
+    return [end.value for end in likelihood_ends(evidence, 0.95, minus=running)]
+
+
+@settings(max_examples=30)
+@given(rngs, st.sampled_from([None, None, 5]))
+def test_the_ends_of_a_gain_and_of_its_negative(rng, horizon):
+    """What one policy gains over another, the other loses; both values are of one
+    model, so that the ends are within those of two separate intervals.
+    """
+    problem, policy = problem_of(rng, horizon)
+    running = random_policy(rng, problem.simulator)
+    low, high = gain_ends(problem, policy, running)
+    loss, win = gain_ends(problem, running, policy)
+    width = high - low
+    assert_allclose([low, high], [-win, -loss], atol=1e-4 * width + 1e-9)
+    ends = [
+        [end.value for end in likelihood_ends(gather(problem, pi), 0.95)]
+        for pi in (policy, running)
+    ]
+    room = 1e-6 * (abs(width) + 1.0)
+    assert low >= ends[0][0] - ends[1][1] - room
+    assert high <= ends[0][1] - ends[1][0] + room
+    fitted = gather(problem, policy).fitted
+    middle = oee.policy_value(fitted, policy, horizon=horizon) - oee.policy_value(
+        fitted, running, horizon=horizon
+    )
+    assert low - room <= middle <= high + room
+
+
+def test_a_policy_gains_nothing_over_itself():
+    problem, policy = problem_of(np.random.default_rng(5))
+    assert gain_ends(problem, policy, policy) == [0.0, 0.0]
+
+
+@pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
+@pytest.mark.parametrize("seed", range(6))
+def test_no_end_of_a_gain_is_short_of_slsqp(seed):
+    rng = np.random.default_rng(100 + seed)
+    problem, policy = problem_of(rng, horizon=None if seed % 3 else 5, n=500)
+    running = random_policy(rng, problem.simulator)
+    evidence = gather(problem, policy)
+    low, high = (end.value for end in likelihood_ends(evidence, 0.95, minus=running))
+    room = 1e-4 * (high - low)
+    assert best_of_slsqp(evidence, -1.0, 4, rng, running) >= low - room
+    assert best_of_slsqp(evidence, 1.0, 4, rng, running) <= high + room
+
+
+def test_a_gain_of_a_large_problem_is_that_of_a_small_one(monkeypatch):
+    """Solved by sweeps and by LAPACK alike."""
+    problem, policy = problem_of(np.random.default_rng(9), n=60)
+    running = random_policy(np.random.default_rng(10), problem.simulator)
+    small = gain_ends(problem, policy, running)
+    monkeypatch.setattr(profile_ascent, "MAX_DENSE_STATES", 1)
+    assert_allclose(gain_ends(problem, policy, running), small, rtol=1e-5)
