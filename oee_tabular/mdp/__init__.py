@@ -34,9 +34,10 @@ are alike.
 - ``naming``: names of states and actions, and their numbers
 - ``gymnasium_table``: outcomes of actions as the arrays of an MDP; the P of a toy-text
   environment
-- ``empirical``: n(s, a, s') / n(s, a) of a log or an environment, how many samples
-  there are of each pair, and the variance of mean rewards; ``Explorer`` steps to pairs
-  with few samples
+- ``empirical``: n(s, a, s') / n(s, a) of a log or of samples, how many there are of
+  each pair, and the variance of mean rewards (``tasks.exploring`` draws samples of an
+  environment)
+- ``environments``: what a Gymnasium environment is, and the numbers that it gives
 - ``rows``: sums, means and exponential tilts over the rows of P; displacements
 - ``files``: the arrays of an npz file
 - ``horizons``: how many steps of a horizon a discount leaves visible

@@ -5,6 +5,7 @@ Its transitions are sparse rows s*A + a.
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Mapping
 from functools import cached_property, partial
@@ -25,7 +26,7 @@ from oee_tabular.mdp.arrays import (
     check_transitions,
     name_transition,
 )
-from oee_tabular.mdp.empirical import Sampling, env_arguments, log_arguments
+from oee_tabular.mdp.empirical import Sampling, frequency_arguments, log_arguments
 from oee_tabular.mdp.files import constructor_arguments, file_arrays
 from oee_tabular.mdp.gymnasium_table import read_table
 from oee_tabular.mdp.naming import (
@@ -773,7 +774,7 @@ class FiniteMDP:
         Notes
         -----
         Episodes go to the nearest state-action pair with too few samples, by value
-        iteration on the transitions so far (``mdp.empirical``), until every action of
+        iteration on the transitions so far (``tasks.exploring``), until every action of
         every state reached has been taken ``samples_per_pair`` times; an episode that
         cannot lead there is ended by ``env.reset``. Observations that are not Discrete
         (tuples, integer arrays, texts) become the states' names. States that no episode
@@ -791,10 +792,13 @@ class FiniteMDP:
         """
         gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
         names = (state_names, action_names)
-        return cls(
-            **env_arguments(env, samples_per_pair, seed, max_steps, names),
-            discount=gamma,
+        # by name and on use, because what steps an environment is an agent, in a room
+        # above this one
+        exploring = importlib.import_module("oee_tabular.tasks.exploring")
+        samples = exploring.explore_environment(
+            env, samples_per_pair, seed, max_steps, names
         )
+        return cls(**frequency_arguments(samples), discount=gamma)
 
     def _arguments(self) -> dict[str, Any]:
         """Return the constructor's arguments that make this MDP."""

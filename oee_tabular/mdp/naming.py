@@ -48,6 +48,11 @@ class Names:
         """Describe a state-action pair, ``s=hall, a=left``."""
         return f"s={self.state(state)}, a={self.action(action)}"
 
+    def first_pairs(self, pairs: Any) -> str:
+        """Describe the first three of (n, 2) state-action pairs; dots stand for more."""
+        shown = "; ".join(self.pair(*pair) for pair in pairs[:3])
+        return f"{shown}; ..." if len(pairs) > 3 else shown
+
     def transition(self, state: object, action: object, next_state: object) -> str:
         """Describe a transition, ``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(next_state)}"

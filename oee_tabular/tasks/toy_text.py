@@ -19,12 +19,12 @@ from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.environments import require_environment
 from oee_tabular.mdp.policies import shape_of
-from oee_tabular.mdp.stepping import (
+from oee_tabular.tasks.stepping import (
     MAX_EPISODE_STEPS,
     count_actions,
     count_observations,
-    require_environment,
     require_observation,
     reset_environment,
     step_environment,
