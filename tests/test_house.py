@@ -123,6 +123,16 @@ def test_the_core_does_not_import_the_wing():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_pictures_and_agents_are_imported_on_use():
+    """``plot`` of a result imports its picture, ``from_env`` the agent that steps."""
+    code = (
+        "import sys, oee_tabular.inference, oee_tabular.design, oee_tabular.theory\n"
+        "names = ('plots', 'tasks', 'report')\n"
+        "assert not [n for n in names if f'oee_tabular.{n}' in sys.modules]\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 @pytest.mark.parametrize("room", ["lab", "continuous"])
 def test_what_measures_and_the_wing_are_imported_from_above_alone(room):
     """Others ask for their names on use: the core loads without them."""

@@ -28,7 +28,6 @@ from oee_tabular.inference.evidence import Evidence, gather, require_squares
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
-from oee_tabular.plots import plot_intervals
 from oee_tabular.typing import Array, PoliciesLike, RealArrayLike, Seed
 
 if TYPE_CHECKING:
@@ -362,6 +361,8 @@ class Comparison:
         matplotlib Axes
             The axes with the picture.
         """
+        from oee_tabular.plots import plot_intervals  # a room above, on use
+
         ends = self.differences[1:, 0], self.lower[1:, 0], self.upper[1:, 0]
         names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
         best = self.decide().best
