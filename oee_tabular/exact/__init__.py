@@ -19,6 +19,8 @@ Each formula is followed by the module that computes it::
         values
     V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0
         finite, backward (horizon T)
+    r(s, a) + gamma sum_{s'} P V(s'),    r(s, a, s') + gamma V(s')
+        backup (Bellman's, of pairs and of transitions)
     V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]
         planning
     dJ / dP(s' | s, a) = d(s, a) [r(s, a, s') + gamma V(s')] / (1 - gamma)

@@ -98,7 +98,9 @@ def average_rewards(policy: Array, rewards: Array) -> tuple[Array, float]:
     The scale is the largest sum of the magnitudes.
     """
     total = np.zeros(len(policy))
-    return total, add_rewards(policy, rewards, total)
+    # the loop is compiled for one kind of array
+    contiguous = np.ascontiguousarray(policy)
+    return total, add_rewards(contiguous, rewards, total)
 
 
 @njit(cache=True)

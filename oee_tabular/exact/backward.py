@@ -24,8 +24,9 @@ import numpy as np
 
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _system, finite
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.exact.system import policy_system, rows_of
+from oee_tabular.exact.system import policy_system
 from oee_tabular.typing import Array
 
 HALF_SPACING = 0.5 * float(np.finfo(float).eps)
@@ -52,22 +53,11 @@ def last_values(model: Model, policy: Array, steps: int) -> Array:
     return value
 
 
-def back_up(model: Model, value: Array) -> Array:
-    """Compute Q(s, a) = r(s, a) + gamma sum_s' K(s' | s, a) V(s'), of shape (S, A)."""
-    following = np.empty(model.rewards.size)
-    _system.multiply(*rows_of(model.csr), False, value, following)
-    return np.asarray(
-        model.rewards + model.discount * following.reshape(model.rewards.shape)
-    )
-
-
 def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
     """Compute V_0 of a checked policy, with a bound on the rounding."""
     if policy.ndim == 2:
         system = policy_system(model, policy)
-        rewards, largest = _system.average_rewards(
-            np.ascontiguousarray(policy), model.rewards
-        )
+        rewards, largest = _system.average_rewards(policy, model.rewards)
         n_terms = int(np.diff(system.kernel.indptr.astype(np.int64)).max())
         growth = system.row_sums[1]
     else:
@@ -100,4 +90,4 @@ def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
 
 def _step_back(model: Model, act: Array, value: Array) -> Array:
     """Compute r_act + gamma P_act V (S,) of a step's policy (S, A)."""
-    return np.asarray(np.einsum("sa,sa->s", act, back_up(model, value)))
+    return np.asarray(np.einsum("sa,sa->s", act, back_up_pairs(model, value)))

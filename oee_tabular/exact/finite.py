@@ -174,7 +174,7 @@ def values_to_go(
     Row t has T - t rewards to go. Unless ``is_each``, V_0 alone is returned, (1, S).
     """
     out = np.empty((horizon + 1 if is_each else 2, model.n_states))
-    rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
+    rewards, _ = average_rewards(policy, model.rewards)
     sweep_all(policy_system(model, policy).kernel, rewards, horizon, out)
     return out if is_each else out[:1]
 

@@ -15,6 +15,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
+from oee_tabular.exact.backup import back_up_transitions
 from oee_tabular.exact.finite import gradient_to_horizon, visits
 from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
@@ -240,9 +241,7 @@ def transition_gradient(
     lengths = np.diff(valued.transitions.indptr)
     if steps is None:
         known = values_or_zeros(valued, pi) if values is None else values
-        gradient = (model.discount * known)[valued.transitions.indices]
-        if valued.reward_data is not None:
-            gradient += valued.reward_data
+        gradient = back_up_transitions(valued, known)
         if time is None or model.discount == 1.0:
             visited = infinite_visits(model, pi)
         else:

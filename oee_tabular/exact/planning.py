@@ -18,12 +18,13 @@ from oee_tabular import _checks
 from oee_tabular._compiling import njit
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exact import _system
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, IntArray
 
 MAX_TURNS = 100  # turns of modified policy iteration
 # fewer turns where a graph is narrow: exact evaluation is as quick as some sweeps there
@@ -108,7 +109,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         earlier.add(actions.tobytes())
         policy = choices[actions]
         values = finite_values(infinite_values(mdp, policy, near=values))
-        first, actions = find_better_actions(model, values, actions, rounding)
+        first, actions = find_better_actions(mdp, values, actions, rounding)
         if actions.tobytes() not in earlier:
             continue
         # among equals the first; at discount 1 an equal action may never be absorbed,
@@ -126,6 +127,23 @@ def is_narrow(mdp: FiniteMDP) -> bool:
     if _system.expands(Kernel(pointers, rows.indices, rows.data, 1.0)):
         return False
     return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
+
+
+def find_better_actions(
+    mdp: FiniteMDP, values: Array, actions: IntArray, relative: float
+) -> tuple[IntArray, IntArray]:
+    """Find each state's first best action up to rounding, and the actions that improve.
+
+    Q = r + gamma P V for the values of ``actions``. The second result has ``actions``,
+    but the first best action where it is better by more than ``relative`` of the
+    largest Q.
+    """
+    q = back_up_pairs(mdp, values)
+    best = q.max(axis=1)
+    allowed = relative * _system.largest_magnitude(q)
+    first = (q >= (best - allowed)[:, None]).argmax(axis=1)
+    own = q[np.arange(len(q)), actions]
+    return first, np.where(best > own + allowed, first, actions)
 
 
 @njit(cache=True)
@@ -236,29 +254,3 @@ def iterate_modified(model, relative, n_turns):
         if turn % 4 == 0:
             allowed = 0.5 * (high - low)
     return actions, values + shift
-
-
-@njit(cache=True)
-def find_better_actions(model, values, actions, relative):
-    """Find each state's first best action up to rounding, and the actions that improve.
-
-    Q = r + gamma P V for the values of ``actions``. The second result has ``actions``,
-    but the first best action where it is better by more than ``relative`` of the
-    largest Q.
-    """
-    n_states, n_actions = model[1].shape
-    q = np.empty((n_states, n_actions))
-    largest = 0.0
-    for state in range(n_states):
-        for action in range(n_actions):
-            q[state, action] = action_value(model, values, state, action)
-            largest = max(largest, abs(q[state, action]))
-    first = np.zeros(n_states, dtype=np.int64)
-    better = actions.copy()
-    for state in range(n_states):
-        best = q[state].max()
-        while q[state, first[state]] < best - relative * largest:
-            first[state] += 1
-        if best > q[state, actions[state]] + relative * largest:
-            better[state] = first[state]
-    return first, better

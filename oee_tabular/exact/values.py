@@ -22,6 +22,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, backward, finite, solvers
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
@@ -219,7 +220,7 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """Compute r_pi(s) = sum_a policy[s, a] r(s, a), of shape (S,)."""
-    return _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
+    return _system.average_rewards(policy, model.rewards)[0]
 
 
 def largest_reward(model: Model) -> float:
@@ -313,9 +314,7 @@ def infinite_values(
     ``near`` (S,) is an approximation of V to begin with. A DivergentKernelError is
     raised where the sum diverges in any state.
     """
-    rewards, largest = _system.average_rewards(
-        np.ascontiguousarray(policy), model.rewards
-    )
+    rewards, largest = _system.average_rewards(policy, model.rewards)
     system = policy_system(model, policy)
     if model.discount == 1.0:
         recurrent = recurrent_states(system, rewards, model.names)
@@ -555,7 +554,7 @@ def action_values(
     require_model(mdp)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
-        return backward.back_up(mdp, state_values(mdp, policy))
+        return back_up_pairs(mdp, state_values(mdp, policy))
     pi = check_policy(policy, mdp, horizon=steps)
     values = backward.last_values(mdp, pi, steps - 1)
-    return np.asarray(warn_if_not_finite(backward.back_up(mdp, values)))
+    return np.asarray(warn_if_not_finite(back_up_pairs(mdp, values)))
