@@ -26,17 +26,16 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _system, finite
 from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.exact.system import policy_system
+from oee_tabular.exact.system import SMALLEST_FLOAT, policy_system
 from oee_tabular.typing import Array
 
-HALF_SPACING = 0.5 * float(np.finfo(float).eps)
-SMALLEST = 5e-324  # the rounding of numbers that are subnormal
-# by which products of roundings, and the roundings of the bound itself, exceed sums
-PRODUCTS = 1.0 + 1e-6
+UNIT_ROUNDOFF = 0.5 * _system.EPS  # u: the largest relative error of one rounding
+# the factor by which products of roundings, and those of the bound itself, exceed sums
+ROUNDING_FACTOR = 1.0 + 1e-6
 
 
 class BoundedValues(NamedTuple):
-    """V_0 (S,), and a bound on its error and on that of mu_0 . V_0."""
+    """Hold V_0 (S,), and a bound on its error and on the error of mu_0 . V_0."""
 
     values: Array
     error_bound: float
@@ -64,10 +63,10 @@ def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
         largest = float(np.abs(model.rewards).max())
         n_terms = int(np.diff(model.csr.indptr).max())
         growth = float(row_sums(model.transitions).max() * policy.sum(axis=2).max())
-    each = HALF_SPACING * (n_terms + model.n_actions + 3)
-    of_rewards = HALF_SPACING * (model.n_actions + 2) * largest
-    of_rewards += SMALLEST * (2 * n_terms + model.n_actions + 3)
-    carried = model.discount * growth * PRODUCTS
+    each = UNIT_ROUNDOFF * (n_terms + model.n_actions + 3)
+    of_rewards = UNIT_ROUNDOFF * (model.n_actions + 2) * largest
+    of_rewards += SMALLEST_FLOAT * (2 * n_terms + model.n_actions + 3)
+    carried = model.discount * growth * ROUNDING_FACTOR
     if policy.ndim == 2:
         out = np.empty((2, model.n_states))
         size, error = finite.sweep_all(
@@ -83,8 +82,8 @@ def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
             size = _system.largest_magnitude(values)
     # the sum mu_0 . V_0, in parts
     n_parts = finite.N_CHUNK_TERMS + model.n_states // finite.N_CHUNK_TERMS + 2
-    error += HALF_SPACING * min(n_parts, model.n_states + 1) * size
-    error *= PRODUCTS
+    error += UNIT_ROUNDOFF * min(n_parts, model.n_states + 1) * size
+    error *= ROUNDING_FACTOR
     return BoundedValues(values, float(error) if error < np.inf else np.inf)
 
 

@@ -35,17 +35,17 @@ from oee_tabular.typing import Array, IntArray, PolicyLike
 # a long sum is a sum of sums of so many terms each: its rounding grows with n / 128
 N_CHUNK_TERMS = 128
 
-# arguments of kernels that are not wanted
+# what compiled loops get for an argument that is not wanted
 NOTHING: Array = np.zeros(0)
 NO_INITIAL: Array = as_readonly(np.zeros(0))
 NO_ENDS: IntArray = np.zeros(0, dtype=np.int64)
 
 
 class Cone(NamedTuple):
-    """The light cone of the first states: states, rows and rewards under new numbers.
+    """Hold the light cone of the first states, with new numbers for its states.
 
-    The states stand in the order in which they are first reached; at most k transitions
-    reach the first ends[k] of them.
+    ``states`` has their old numbers. They stand in the order in which they are first
+    reached: k transitions reach the first ends[k] of them at most.
     """
 
     states: Any

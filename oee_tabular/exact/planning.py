@@ -1,11 +1,10 @@
 """Optimal policies by modified policy iteration, certified by policy iteration.
 
 Modified policy iteration sweeps over all actions, and then over the best actions [1,
-6.5]. Only differences between states matter to actions, so that it is the spread of
-the changes that has to fall: the change that all states share is left out, and the
-discount does not slow the iteration down. In the end it is summed: the values of the
-last actions are what is left plus gamma / (1 - gamma) of it. Policy iteration with
-exact values follows, and certifies the policy.
+6.5]. Actions depend only on differences between states. So the iteration ends when all
+states change by nearly the same amount, which a discount near 1 does not delay. This
+common change c would go on for ever: c gamma / (1 - gamma) is added to the values at
+the end. Policy iteration with exact values follows, and certifies the policy.
 
 Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
@@ -29,6 +28,14 @@ from oee_tabular.typing import Array, IntArray
 MAX_TURNS = 100  # turns of modified policy iteration
 # fewer turns where a graph is narrow: exact evaluation is as quick as some sweeps there
 MAX_TURNS_NARROW = 3
+# The tolerances are shares of the largest value. Sweeps end where the changes of the
+# states differ by less than the first.
+SPREAD_TOLERANCE = 1e-9
+# An action is better where its value is larger by more than this, or by less where that
+# adds up over time to more than ``MAX_TOTAL_LOSS``.
+ACTION_TOLERANCE = 1e-11
+MAX_TOTAL_LOSS = 1e-6
+MIN_ACTION_TOLERANCE = 1e-14  # some roundings of a value
 
 
 @suggest_keywords
@@ -98,18 +105,19 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         values = None
     else:
         n_turns = MAX_TURNS_NARROW if is_narrow(mdp) else MAX_TURNS
-        actions, values = iterate_modified(model, 1e-9, n_turns)
-    rounding = 1e-11
+        actions, values = iterate_modified(model, SPREAD_TOLERANCE, n_turns)
+    tolerance = ACTION_TOLERANCE
     if mdp.discount < 1.0:
         # near discount 1 a small loss a step adds up to a large one
-        rounding = min(max(1e-6 * (1.0 - mdp.discount), 1e-14), rounding)
+        limit = max(MAX_TOTAL_LOSS * (1.0 - mdp.discount), MIN_ACTION_TOLERANCE)
+        tolerance = min(limit, ACTION_TOLERANCE)
     earlier: set[bytes] = set()
     choices: Array = np.eye(mdp.n_actions)
     while True:
         earlier.add(actions.tobytes())
         policy = choices[actions]
         values = finite_values(infinite_values(mdp, policy, near=values))
-        first, actions = find_better_actions(mdp, values, actions, rounding)
+        first, actions = find_better_actions(mdp, values, actions, tolerance)
         if actions.tobytes() not in earlier:
             continue
         # among equals the first; at discount 1 an equal action may never be absorbed,

@@ -26,7 +26,7 @@ from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 @checked()
 @dataclass(frozen=True, eq=False)
 class ReweightedModel:
-    """The model K_zeta = zeta P with the simulator's rewards, made by ``reweight``.
+    """Hold the model K_zeta = zeta P with the simulator's rewards (``reweight``).
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class HasValues(Protocol):
 
     @property
     def values(self) -> Any:
-        """Return the values."""
+        """Return the matrix of values."""
 
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ sum. ``normalized=True`` multiplies by (1 - discount), for both kinds of horizon
 
 Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the
 error, ``|x - x*|_inf <= |M^-1|_inf |residual|_inf``, rounding included. ``solvers``
-says
-which solver is used, and where the norm of the inverse comes from.
+says which solver is used, and where the norm of the inverse comes from.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
+    SMALLEST_FLOAT,
     Kernel,
     System,
     drop_states,
@@ -50,7 +50,7 @@ from oee_tabular.typing import (
 @checked()
 @dataclass(frozen=True)
 class LinearSolution:
-    """A solution of ``solve_policy_system`` with a bound on its error.
+    """Hold a solution of ``solve_policy_system`` with a bound on its error.
 
     Attributes
     ----------
@@ -58,8 +58,7 @@ class LinearSolution:
         The solution.
     error_bound : float
         A bound on the largest error ``|x - x*|_inf``, rounding included. For a
-        transposed
-        system it bounds the sum of the errors, ``|x - x*|_1``.
+        transposed system it bounds the sum of the errors, ``|x - x*|_1``.
     method : str
         The solver: "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse
         LU".
@@ -163,7 +162,7 @@ def solve(
         x = np.ldexp(solution.x, shift)
         bound = float(np.ldexp(norm * solution.bound, shift))
     # subnormal numbers are rounded once more
-    bound += norm * rounding + len(x) * 5e-324
+    bound += norm * rounding + len(x) * SMALLEST_FLOAT
     return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 
 
@@ -191,12 +190,9 @@ def _check_kernel(kernel: Any) -> Csr:
     return rows
 
 
-EPS = float(np.finfo(float).eps)  # the relative spacing of floats at 1
-
-
 @dataclass(frozen=True)
 class PolicyValues:
-    """Values of a policy, V and J, with a bound on the error of V.
+    """Hold the values of a policy, V and J, with a bound on the error of V.
 
     Attributes
     ----------
@@ -279,8 +275,8 @@ def evaluate_policy(
     its roundings, some n T spacings of the largest V_t, n the entries of a row. Costs
     O(T nnz) with a horizon, one sparse solve without. Only what the policy reaches from
     the start matters to J: if the infinite sum diverges in a state that it never
-    reaches, ``values`` is nan in all states that it never reaches. Values beyond the largest float are infinite, and
-    so is the error bound then.
+    reaches, ``values`` is nan in all states that it never reaches. Values beyond the
+    largest float are infinite, and so is the error bound then.
 
     Examples
     --------
@@ -322,7 +318,7 @@ def infinite_values(
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
         system = drop_states(system, recurrent)
     # a reward is a sum of A products, each rounded, and may be subnormal
-    rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
+    rounding = (model.n_actions + 1) * (_system.EPS * largest + SMALLEST_FLOAT)
     solution = solve(system, rewards, rounding=rounding, near=near)
     return PolicyValues(
         solution.x,
