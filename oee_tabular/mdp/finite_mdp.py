@@ -125,14 +125,16 @@ class FiniteMDP:
         The probabilities P(s' | s, a), without explicit zeros. scipy's matrix is made
         when it is first asked for.
     csr : CsrArrays
-        The arrays of ``transitions`` (indptr, indices, data, shape).
+        The arrays of ``transitions`` (indptr, indices, data, shape), which compiled
+        loops read: the same memory, without scipy's matrix.
     rewards : ndarray of shape (S, A)
         The expected rewards r(s, a).
     transition_rewards : csr_array of shape (S*A, S), or None
         The rewards r(s, a, s'), with an entry wherever they are defined.
     reward_data : ndarray of shape (nnz,), or None
         The rewards r(s, a, s') on the nnz positive entries of ``transitions``, aligned
-        with ``transitions.data``; None if rewards are r(s, a).
+        with ``transitions.data``; None if rewards are r(s, a). Where
+        ``transition_rewards`` has no other entries, it is the same memory.
     initial : ndarray of shape (S,)
         The distribution of the first state.
     discount : float

@@ -192,7 +192,7 @@ def _places(
 def _add_twin_names(
     names: tuple[Name, ...] | None, twins: IntArray
 ) -> tuple[Name, ...] | None:
-    """Return the names of states with those of their twins, which are over."""
+    """Return the names of states, then those of their twins, "hall (over)"."""
     if names is None:
         return None
     added: list[Name] = []

@@ -177,7 +177,7 @@ def _are_distributions(array: Array) -> bool:
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
     rows = array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
-    # less by what rounding may do
+    # the tolerance is less by what the rounding of a sum may do
     return bool(is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE))
 
 
@@ -584,7 +584,7 @@ def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
 
 
 def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
-    """Say whether it is a text, or a tuple that is an action's name."""
+    """Say whether an action is given as a text, or as a tuple that is a name."""
     if isinstance(action, tuple):
         return is_name(action) and action in numbers_of(names or ())
     return isinstance(action, str)

@@ -22,7 +22,7 @@ from oee_tabular.typing import Array, Csr, IntArray
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
 
-SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
+MIN_PROBABILITY = 1e-300  # of a transition; a smaller one supports no ratio
 
 
 def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def add_support(mdp: FiniteMDP, log: object, epsilon: float) -> dict[str, Any]:
     rows, columns, reward = _read_transitions(mdp, log)
     matrix = mdp.transitions
     observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
-    is_impossible = align(matrix, observed)[0] < SMALLEST_PROBABILITY
+    is_impossible = align(matrix, observed)[0] < MIN_PROBABILITY
     if not is_impossible.any():
         return {}
     row = row_of_entry(observed)[is_impossible]

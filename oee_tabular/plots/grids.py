@@ -31,8 +31,8 @@ N_VECTOR_CELLS = 1600
 N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
 # share of a map's cells that are states, at least: places that are further apart make
 # no map
-SPARSEST = 0.02
-CLOSE = 1e-6  # of a cell, by which a place may miss its middle
+MIN_FILLED_SHARE = 0.02
+PLACE_TOLERANCE_CELLS = 1e-6  # of a cell, by which a place may miss its middle
 
 
 @checked(shapes={"cell": "S"})
@@ -198,12 +198,14 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     for place in layout.T:
         distinct = np.unique(place)
         gaps = np.diff(distinct)
-        gaps = gaps[gaps > CLOSE * np.abs(distinct).max()]
+        gaps = gaps[gaps > PLACE_TOLERANCE_CELLS * np.abs(distinct).max()]
         step = float(gaps.min()) if len(gaps) else 1.0
         with np.errstate(over="ignore", invalid="ignore"):
             at = (place - distinct[0]) / step
             number = np.rint(at)
-            is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
+            is_even = (number < len(layout) / MIN_FILLED_SHARE) & (
+                np.abs(at - number) <= PLACE_TOLERANCE_CELLS
+            )
         if not is_even.all():
             return None
         coordinates.append(
@@ -212,7 +214,7 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
         numbers.append(number.astype(np.int64))
     rows, columns = coordinates
     row, column = numbers
-    if len(layout) < SPARSEST * len(rows) * len(columns):
+    if len(layout) < MIN_FILLED_SHARE * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column
     order = np.argsort(is_over, kind="stable")  # those that can be left come first

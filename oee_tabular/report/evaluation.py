@@ -299,14 +299,7 @@ def evaluate_showing(
             name: policy_value(target, pi, horizon=problem.horizon)
             for name, pi in named.items()
         }
-    about = {
-        "simulator": repr(simulator),
-        "log": problem.log.describe(),
-        "rewards": problem.rewards,
-    }
-    if known.has_box:
-        about["target"] = str(known)
-    about |= dict({} if facts is None else facts)
+    about = _describe_premises(problem, known) | dict(facts or {})
     started = time.monotonic()
     with _progress.show_steps(only_terminal=True):
         results = _run_estimators(problem, named, chosen | known.estimators, seed)
@@ -351,6 +344,18 @@ def evaluate_showing(
     if seconds is None:
         seconds = max(time.monotonic() - started, MIN_INTERVAL_SECONDS)
     return write("", guaranteed, seconds)
+
+
+def _describe_premises(problem: Problem, known: Premises) -> dict[str, Any]:
+    """Return the facts of a report: simulator, log, rewards and what is known."""
+    about: dict[str, Any] = {
+        "simulator": repr(problem.simulator),
+        "log": problem.log.describe(),
+        "rewards": problem.rewards,
+    }
+    if known.has_box:
+        about["target"] = str(known)
+    return about
 
 
 def _is_large(problem: Problem) -> bool:

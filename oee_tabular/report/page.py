@@ -241,7 +241,7 @@ def plan_command(report: Report) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """The log and the policies, drawn on the task's map where it has one.
+    """Draw the log and the policies, on the task's map where it has one.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ VALUES = {
 @checked()
 @dataclass(frozen=True)
 class Result:
-    """One estimate of one policy.
+    """Hold one estimate of one policy with its name.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def first_results(results: Sequence[Result]) -> dict[str, Result]:
 @checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Report:
-    """The result of ``oee.evaluate``: ``print(report)`` begins with the answer.
+    """Hold the result of ``oee.evaluate``; ``print(report)`` begins with the answer.
 
     Values are shown in the report's unit: discounted sums of rewards, multiplied by (1
     - discount) if ``normalized``.

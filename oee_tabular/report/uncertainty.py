@@ -61,7 +61,7 @@ OWN_LEVEL = 0.95  # the confidence of the intervals that estimators set themselv
 
 
 class BoxOptions(TypedDict):
-    """Bounds on target over simulator probabilities, as keyword arguments."""
+    """Hold bounds on target over simulator probabilities, as keyword arguments."""
 
     lower_ratio: float | None
     upper_ratio: float | None
@@ -69,7 +69,7 @@ class BoxOptions(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Premises:
-    """What the user knows about the target.
+    """Hold what the user knows about the target.
 
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
     which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
@@ -169,7 +169,7 @@ class Premises:
 @checked()
 @dataclass(frozen=True)
 class Uncertainty:
-    """How certain the log makes the values of policies.
+    """Hold how certain the log makes the values of policies.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ Kind: TypeAlias = Literal["per_decision", "trajectory"]
 )
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
-    """Returns and weights of n sampled episodes, the result of ``sample_returns``.
+    """Hold the returns and weights of n sampled episodes (``sample_returns``).
 
     Attributes
     ----------

@@ -28,15 +28,17 @@ else:
     RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
 # streams of random numbers, so that one seed gives three different samples
-LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))
-# shorter runs, of some milliseconds, stay on the calling thread
+LOG_STREAM = np.uint64(0)  # of ``sample_episodes``
+RETURN_STREAM = np.uint64(1)  # of ``sample_returns``
+TRANSITION_STREAM = np.uint64(2)  # of ``sample_transitions``
+# runs of fewer steps, which take some milliseconds, stay on the calling thread
 MIN_THREADED_STEPS = 1 << 20
-MAX_FIRST_PATH_STEPS = 1 << 24  # room for a path at first; it doubles
+MAX_FIRST_PATH_STEPS = 1 << 24  # room for the first path; later ones have twice as much
 N_CHUNK_EPISODES = 1 << 10  # episodes that a thread takes at a time
 
 
 class AliasTable(NamedTuple):
-    """One alias table for all states.
+    """Hold one alias table for all states.
 
     The draw of the first state is one state more, whose outcomes are entries after the
     entries of P.
@@ -67,7 +69,7 @@ class AliasTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Sums along each of n episodes, and the paths of recorded ones.
+    """Hold the sums along each of n episodes, and the paths of recorded ones.
 
     Attributes
     ----------
@@ -416,7 +418,7 @@ def sample_transitions(
         seed=seed,
         record=True,
         pairs=pairs,
-        stream=BAG_STREAM,
+        stream=TRANSITION_STREAM,
         name="n",
     )
     path = drawn.path

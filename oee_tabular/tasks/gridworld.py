@@ -167,7 +167,7 @@ def gridworld_policy(size: int, delta: float) -> Array:
 @checked(shapes={"behavior_policy": "S A", "policies": "S A"})
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """The default problem of ``oee evaluate``, with its target.
+    """Hold the default problem of ``oee evaluate``, with its target.
 
     It is the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d).
 

@@ -38,7 +38,7 @@ FINITE = ("gridworld",)
 @checked()
 @dataclass(frozen=True)
 class NamedTask:
-    """A simulator that was named.
+    """Hold a simulator that was named, with what belongs to it.
 
     Attributes
     ----------

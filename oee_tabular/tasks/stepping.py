@@ -33,7 +33,7 @@ MAX_EPISODE_STEPS = 1_000_000
 
 
 class Step(NamedTuple):
-    """What an environment returned for an action, without its information."""
+    """Hold what an environment returned for an action, without its information."""
 
     observation: Any
     reward: float

@@ -244,11 +244,10 @@ def check_law(name: str, subject: Subject) -> Verdict:
 # ---- in a process of its own
 
 EXAMPLE = "my_package.mine:MyEstimator"
-LONGEST = 1e6  # seconds; operating systems wait for little more
-# seconds that compilation and import of this package may take: no fault of the
-# estimator's
-PREPARING = 3600.0
-MOST_HANGS = 3  # laws that may hang before the rest is left
+MAX_TIMEOUT_SECONDS = 1e6  # operating systems wait for little more
+# for compilation and import of this package, which are no fault of the estimator's
+MAX_PREPARATION_SECONDS = 3600.0
+MAX_HANGS = 3  # laws that may hang before the rest is left
 
 
 def check_module(
@@ -285,15 +284,17 @@ def check_module(
         or takes longer when it is), or the object is no estimator.
     """
     check_numbers(seed, repetitions)
-    seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
+    seconds = _checks.number_in(
+        timeout, "timeout", 0.0, MAX_TIMEOUT_SECONDS, open_ends=True
+    )
     module_and_path(spec, "the estimator", EXAMPLE)
     verdicts: dict[str, Verdict] = {}
     n_hangs = 0
     while (
         left := [name for name in LAWS if name not in verdicts]
-    ) and n_hangs < MOST_HANGS:
+    ) and n_hangs < MAX_HANGS:
         with _process(spec, seed, repetitions, left) as answer:
-            answer(PREPARING)
+            answer(MAX_PREPARATION_SECONDS)
             try:
                 title, claims = answer(seconds)
             except Ended as ended:
@@ -312,7 +313,7 @@ def check_module(
         verdicts[name] = Verdict(
             name,
             *(
-                ("not run", f"{MOST_HANGS} laws hang")
+                ("not run", f"{MAX_HANGS} laws hang")
                 if is_claimed
                 else ("not claimed", "")
             ),

@@ -311,7 +311,7 @@ def compare_with_oracle(
 
 
 class _Source(NamedTuple):
-    """How logs are drawn, and what is exact about them."""
+    """Hold how logs are drawn, and what is exact about them."""
 
     draw: Callable[..., Transitions]
     bound: float

@@ -687,10 +687,9 @@ def capture_errors(what: str) -> Iterator[None]:
 
     Its warnings are not shown, and its global random state is put back.
     """
-    state, numpy_state = (
-        random.getstate(),
-        np.random.get_state(),  # noqa: NPY002 (what is watched over is the global one)
-    )
+    state = random.getstate()
+    # numpy's global state is what an estimator may have changed
+    numpy_state = np.random.get_state()  # noqa: NPY002
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
