@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Normalize
 
-# up to which each cell of a map is a shape of its own; beyond, the map is an image
+# cells up to which each is a shape of its own; larger maps are images
 N_VECTOR_CELLS = 1600
 N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
-# share of a map's cells that are states, at least: places that are further apart make
-# no map
+# The least share of a map's cells that are states: places that are further apart make
+# no map.
 MIN_FILLED_SHARE = 0.02
-PLACE_TOLERANCE_CELLS = 1e-6  # of a cell, by which a place may miss its middle
+PLACE_TOLERANCE_CELLS = 1e-6  # by which a place may miss the middle of its cell
 
 
 @checked(shapes={"cell": "S"})
@@ -217,7 +217,8 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     if len(layout) < MIN_FILLED_SHARE * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column
-    order = np.argsort(is_over, kind="stable")  # those that can be left come first
+    # of several states in a cell one that can be left is drawn
+    order = np.argsort(is_over, kind="stable")
     is_hidden = np.ones(len(cell), dtype=np.bool_)
     is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
     if (is_hidden & ~is_over).any():
@@ -245,8 +246,7 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     """Find the rows and columns of a gridworld in its transitions.
 
     A gridworld's states are numbered row * columns + column. Its transitions stay, go
-    to
-    the neighbour on the left or right (never around an edge), or to the one above or
+    to the neighbour on the left or right (never around an edge), or to the one above or
     below. A jump back to an initial state (as from CliffWalking's cliff) is allowed.
 
     Parameters

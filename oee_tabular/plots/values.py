@@ -281,21 +281,21 @@ def _check_lines(
     """Check what ``plot_intervals`` gets for each line, and return it as arrays."""
     names = _checks.collection(names, "names", "names, one a line")
     given = {"values": values, "lower": lower, "upper": upper}
-    arrays = [
+    value, low, high = (
         _checks.float_array(_checks.without_known_labels(array, names), name, ndim=1)
         for name, array in given.items()
-    ]
+    )
     called: Sequence[str] = [""] * len(names)
     if groups is not None:
         called = _checks.collection(groups, "groups", "names, one a line")
     group = np.array([*map(shorten, called)], dtype=object)
-    sizes = [len(column) for column in (names, *arrays, group)]
+    sizes = [len(column) for column in (names, value, low, high, group)]
     if len(set(sizes)) > 1:
         raise ValueError(
             "names, values, lower, upper and groups must have one length; "
             f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
         )
-    return Lines(names, *arrays, group)
+    return Lines(names, value, low, high, group)
 
 
 def _check_truths(

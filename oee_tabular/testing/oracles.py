@@ -142,8 +142,7 @@ class OracleComparison:
         """Return n * variance / bound, which tends to 1 for an efficient estimator.
 
         It is nan where the bound is 0 or infinite. With ``behavior_policy`` the bound
-        is
-        that of time-indexed dynamics and starts that are estimated, too: an estimator
+        is for time-indexed dynamics and starts that are estimated, too: an estimator
         that knows the dynamics to be stationary can be below it.
         """
         if not 0.0 < self.bound < math.inf:
