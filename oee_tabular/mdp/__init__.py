@@ -34,6 +34,7 @@ are alike.
 - ``naming``: names of states and actions, and their numbers
 - ``gymnasium_table``: outcomes of actions as the arrays of an MDP; the P of a toy-text
   environment
+- ``logs``: what an MDP reads of a log
 - ``empirical``: n(s, a, s') / n(s, a) of a log or of samples, how many there are of
   each pair, and the variance of mean rewards (``tasks.exploring`` draws samples of an
   environment)

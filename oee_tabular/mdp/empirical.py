@@ -21,6 +21,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
+from oee_tabular.mdp.logs import LogLike, require_log
 from oee_tabular.mdp.naming import (
     Name,
     Names,
@@ -28,7 +29,6 @@ from oee_tabular.mdp.naming import (
     initial_distribution,
     renumber,
 )
-from oee_tabular.mdp.support import require_log
 from oee_tabular.typing import Array, Csr, IntArray
 
 
@@ -75,7 +75,7 @@ class Samples(NamedTuple):
 
 
 def log_arguments(
-    log: Any,
+    log: LogLike,
     rewards: Any,
     initial: object,
     sizes: tuple[Any, Any],
@@ -119,7 +119,7 @@ def log_arguments(
     return frequency_arguments(samples, initial=law, rewards=rewards, layout=layout)
 
 
-def _log_rewards(log: Any, rewards: Any) -> Array:
+def _log_rewards(log: LogLike, rewards: Any) -> Array:
     """Return the rewards of a log's rows, 0 or nan where one is missing.
 
     Raises an ArgumentError where one is missing and no ``rewards`` are given.
@@ -136,7 +136,7 @@ def _log_rewards(log: Any, rewards: Any) -> Array:
 
 
 def _resolve(
-    log: Any, label: str, columns: tuple[str, ...], size: object, names: object
+    log: LogLike, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
     """Return the number of states or actions, their names, and their columns."""
     own = getattr(log, f"{label}_names")

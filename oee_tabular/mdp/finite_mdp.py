@@ -29,6 +29,7 @@ from oee_tabular.mdp.arrays import (
 from oee_tabular.mdp.empirical import Sampling, frequency_arguments, log_arguments
 from oee_tabular.mdp.files import constructor_arguments, file_arrays
 from oee_tabular.mdp.gymnasium_table import read_table
+from oee_tabular.mdp.logs import LogLike
 from oee_tabular.mdp.naming import (
     Name,
     Names,
@@ -51,8 +52,6 @@ from oee_tabular.typing import (
 
 if TYPE_CHECKING:
     from gymnasium import Env
-
-    from oee_tabular.data import Transitions
 
 KIND = "finite_mdp"
 
@@ -489,7 +488,7 @@ class FiniteMDP:
         """
         return self._replace(**add_action_noise(self, epsilon))
 
-    def with_support_of(self, log: Transitions | SparseLike, epsilon: float) -> Self:
+    def with_support_of(self, log: LogLike | SparseLike, epsilon: float) -> Self:
         """Return the same MDP with a log's impossible transitions made possible.
 
         Parameters
@@ -633,7 +632,7 @@ class FiniteMDP:
     @suggest_keywords
     def from_log(
         cls,
-        log: Transitions,
+        log: LogLike,
         rewards: RealArrayLike | MatrixLike | None = None,
         *,
         discount: float = 0.99,

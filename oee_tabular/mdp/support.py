@@ -17,7 +17,8 @@ from oee_tabular._sparse import (
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
-from oee_tabular.typing import Array, Csr, IntArray
+from oee_tabular.mdp.logs import LogLike, require_log
+from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
@@ -51,7 +52,9 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
 
 
-def add_support(mdp: FiniteMDP, log: object, epsilon: float) -> dict[str, Any]:
+def add_support(
+    mdp: FiniteMDP, log: LogLike | SparseLike, epsilon: float
+) -> dict[str, Any]:
     """Return the arguments that change where an MDP is to allow the log's transitions.
 
     ``FiniteMDP.with_support_of`` explains them.
@@ -131,18 +134,3 @@ def _read_transitions(
     ends[: len(mdp.terminal_state)] = mdp.terminal_state
     to = np.where(log.terminated, ends[log.next_state], log.next_state)
     return log.state * mdp.n_actions + log.action, to, log.reward
-
-
-def require_log(log: object) -> None:
-    """Raise an ArgumentError for what is no log.
-
-    ``data``, which knows the class of logs, stands above this room.
-    """
-    is_class = isinstance(log, type)
-    if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
-        hint = ""
-        if hasattr(log, "columns") and not is_class:
-            hint = " (of a data frame: Transitions.from_frame(log))"
-        raise ArgumentError(
-            "log", f"must be Transitions; got {type(log).__name__}{hint}"
-        )
