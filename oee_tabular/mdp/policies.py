@@ -173,7 +173,10 @@ def _refuse_rounded_actions(given: Any, array: Array, name: str) -> None:
 
 
 def _are_distributions(array: Array) -> bool:
-    """Say whether the rows of an array in C's order surely are distributions."""
+    """Say whether the rows of an array in C's order are distributions.
+
+    False is also the answer where rounding decides.
+    """
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
     rows = array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
