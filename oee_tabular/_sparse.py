@@ -376,6 +376,11 @@ def row_of_entry(csr: CsrParts) -> IntArray:
     return np.repeat(np.arange(csr.shape[0], dtype=np.int64), np.diff(csr.indptr))
 
 
+def repeat_rows(csr: CsrParts, values: NDArray[Any]) -> NDArray[Any]:
+    """Repeat the value of each row at each of its stored entries."""
+    return np.repeat(values, np.diff(csr.indptr), axis=0)
+
+
 def row_sums(csr: CsrParts, data: Array | None = None) -> Array:
     """Sum the stored entries of each row, or ``data`` on the same pattern."""
     values = csr.data if data is None else data
@@ -389,7 +394,7 @@ def row_sums(csr: CsrParts, data: Array | None = None) -> Array:
 def row_variances(csr: CsrParts, probability: Array, values: Array) -> Array:
     """Compute the variance of ``values`` over each row with these probabilities."""
     mean = row_sums(csr, probability * values)
-    return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
+    return row_sums(csr, probability * (values - repeat_rows(csr, mean)) ** 2)
 
 
 def ratio_on(pattern: CsrParts, ratio: Any, name: str) -> Array:

@@ -19,6 +19,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._compiling import njit
+from oee_tabular._sparse import repeat_rows
 from oee_tabular.exact._system import average_rewards
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
@@ -224,7 +225,7 @@ def gradient_to_horizon(
     data = np.zeros(0) if valued.reward_data is None else valued.reward_data
     rewards = as_readonly(data)
     to_go = values_to_go(valued, policy, horizon)
-    out = np.zeros(valued.transitions.nnz)
+    out = np.zeros(valued.csr.nnz)
     here, there = np.zeros((2, model.n_states))
     here[:] = model.initial
     indptr, columns, _ = rows_of(valued.csr)
@@ -240,8 +241,7 @@ def gradient_to_horizon(
         there,
         out,
     )
-    lengths = np.diff(valued.transitions.indptr)
-    return np.asarray(out * np.repeat(policy.reshape(-1), lengths))
+    return np.asarray(out * repeat_rows(valued.csr, policy.reshape(-1)))
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:

@@ -9,6 +9,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._parallel import one_thread
+from oee_tabular._sparse import repeat_rows
 from oee_tabular.exact import _moments
 from oee_tabular.exact.reweighted import RatioLike, entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
@@ -161,9 +162,9 @@ def walk_of(
 
 def transition_factors(mdp: FiniteMDP, ratio: RatioLike, absorbing: BoolArray) -> Array:
     """Return zeta on the transitions (nnz,), and 1 in absorbing states."""
-    entries = np.diff(mdp.csr.indptr[:: mdp.n_actions])
     zeta = entries_of_ratio(mdp, ratio, "zeta")
-    return np.where(np.repeat(absorbing, entries), 1.0, zeta)
+    has_ended = repeat_rows(mdp.csr, np.repeat(absorbing, mdp.n_actions))
+    return np.where(has_ended, 1.0, zeta)
 
 
 def weight_moments(

@@ -14,7 +14,7 @@ from oee_tabular._sparse import (
     check_values,
     csr_on_pattern,
     is_matrix_list,
-    row_of_entry,
+    repeat_rows,
     row_sums,
     stack_actions,
 )
@@ -201,7 +201,7 @@ def frequency_arguments(
     )
     counts = arguments["transitions"]
     terminal = arguments["terminal_state"]
-    shares = counts.data / row_sums(counts)[row_of_entry(counts)]
+    shares = counts.data / repeat_rows(counts, row_sums(counts))
     frequencies = csr_on_pattern(counts, shares, own=True)
     n_starts = float(len(starts)) if initial is None else np.inf
     sampling = _count_samples(

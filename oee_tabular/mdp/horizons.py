@@ -119,9 +119,20 @@ def optional_horizon_length(
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
-    """Return sum_t discount^t over the horizon."""
+    """Compute sum_t discount^t over the horizon.
+
+    It is (1 - discount^T) / (1 - discount), without the digits that the first difference
+    loses near discount 1.
+
+    >>> total_discount(0.5, 3), total_discount(1.0 - 1e-14, 3)
+    (1.75, 2.9999999999999702)
+    """
     if horizon is None:
         return 1.0 / (1.0 - discount)
     if discount == 1.0:
         return float(horizon)
-    return (1.0 - discount**horizon) / (1.0 - discount)
+    rest = 1.0 - discount
+    if discount < 0.5:
+        return (1.0 - discount**horizon) / rest
+    # from 1/2 on the rest is exact, and near 1 it has digits that discount^T lacks
+    return -math.expm1(horizon * math.log1p(-rest)) / rest

@@ -13,6 +13,7 @@ from oee_tabular._sparse import (
     canonical,
     check_csr,
     csr_on_pattern,
+    repeat_rows,
     row_of_entry,
 )
 from oee_tabular.exceptions import ArgumentError
@@ -92,7 +93,7 @@ def _added_rewards(
     mdp: FiniteMDP, added: Csr, rows: IntArray, columns: IntArray, reward: Array | None
 ) -> Array:
     """Return the reward of each added transition: the log's mean, or r(s, a)."""
-    value = mdp.rewards.reshape(-1)[row_of_entry(added)]
+    value = repeat_rows(added, mdp.rewards.reshape(-1))
     if reward is None:
         return value
     has_reward = ~np.isnan(reward)  # some may be missing

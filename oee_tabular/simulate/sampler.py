@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._sparse import row_of_entry
+from oee_tabular._sparse import repeat_rows, row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
@@ -271,7 +271,7 @@ def entry_rewards(mdp: FiniteMDP) -> Array:
     """Return the reward of each entry of P: r(s, a, s'), or r(s, a)."""
     if mdp.reward_data is not None:
         return mdp.reward_data
-    return np.asarray(mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)])
+    return repeat_rows(mdp.csr, mdp.rewards.reshape(-1))
 
 
 def sample_episodes(

@@ -21,6 +21,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact import weight_growth, weight_moments
+from oee_tabular.mdp.horizons import total_discount
 
 horizons = st.integers(1, 9)
 
@@ -447,3 +448,23 @@ def test_the_error_bound_of_kernels_of_any_sum_grows_with_them():
 
 def survival(n):
     return oee.FiniteMDP(np.full((n, 1, n), 1.0 / n), np.ones(n), np.full(n, 1 / n), 1)
+
+
+discounts = st.one_of(
+    st.floats(0.0, 1.0), st.integers(1, 53).map(lambda bits: 1.0 - 2.0**-bits)
+)
+
+
+@given(discounts, st.integers(1, 60))
+def test_the_weight_of_a_horizon_is_right_to_rounding(discount, steps):
+    """Near discount 1 as well, where 1 - discount^T has lost its digits."""
+    exactly = sum(Fraction(discount) ** t for t in range(steps))
+    assert abs(Fraction(total_discount(discount, steps)) / exactly - 1) < 2e-15
+
+
+@settings(max_examples=20)
+@given(rngs, discounts, st.integers(1, 9))
+def test_an_occupancy_sums_to_one_at_any_discount(rng, discount, steps):
+    mdp = random_mdp(rng, n_states=4).with_discount(discount)
+    time = oee.occupancy(mdp, random_policy(rng, mdp), horizon=steps)
+    assert abs(time.sum() - 1.0) < 1e-13
