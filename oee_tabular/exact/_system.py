@@ -63,6 +63,7 @@ def fill_rows(
 ):
     """Write the rows of ``average_rows``, and return how many entries they have.
 
+    P_pi(s' | s) += policy[s, a] K(s' | s, a) for each action a and each s' in turn.
     ``place`` and ``starts`` begin as zeros.
     """
     n_actions = policy.shape[1]
