@@ -19,23 +19,23 @@ class CsrParts(Protocol):
 
     @property
     def indptr(self) -> NDArray[np.integer[Any]]:
-        """The first entry of each row, and the number of entries."""
+        """Return the first entry of each row, and the number of entries."""
 
     @property
     def indices(self) -> NDArray[np.integer[Any]]:
-        """The column of each entry."""
+        """Return the column of each entry."""
 
     @property
     def data(self) -> NDArray[Any]:
-        """The value of each entry."""
+        """Return the value of each entry."""
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The numbers of rows and of columns."""
+        """Return the numbers of rows and of columns."""
 
     @property
     def nnz(self) -> int:
-        """The number of entries."""
+        """Return the number of entries."""
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> Csr:

@@ -14,35 +14,35 @@ class LogLike(Protocol):
 
     @property
     def state(self) -> IntArray:
-        """The (n,) states before the transitions."""
+        """Return the (n,) states before the transitions."""
 
     @property
     def action(self) -> IntArray:
-        """The (n,) actions."""
+        """Return the (n,) actions."""
 
     @property
     def next_state(self) -> IntArray:
-        """The (n,) states after the transitions."""
+        """Return the (n,) states after the transitions."""
 
     @property
     def reward(self) -> Array | None:
-        """The (n,) rewards, nan where one is missing; None without rewards."""
+        """Return the (n,) rewards, nan where one is missing; None without rewards."""
 
     @property
     def terminated(self) -> BoolArray:
-        """Whether each transition terminated its episode, (n,)."""
+        """Return whether each transition terminated its episode, (n,)."""
 
     @property
     def episode_starts(self) -> IntArray | None:
-        """The row where each episode begins, and n; None without episodes."""
+        """Return the row where each episode begins, and n; None without episodes."""
 
     @property
     def state_names(self) -> tuple[Name, ...] | None:
-        """The names of the states; None where they are numbers."""
+        """Return the names of the states; None where they are numbers."""
 
     @property
     def action_names(self) -> tuple[Name, ...] | None:
-        """The names of the actions; None where they are numbers."""
+        """Return the names of the actions; None where they are numbers."""
 
     def numbered(self, simulator: Any, name: str = "log") -> Self:
         """Return the log in the numbers of a simulator's states and actions."""

@@ -38,15 +38,15 @@ class Sized(Protocol):
 
     @property
     def n_states(self) -> int:
-        """The number of states."""
+        """Return the number of states."""
 
     @property
     def n_actions(self) -> int:
-        """The number of actions."""
+        """Return the number of actions."""
 
     @property
     def terminal_state(self) -> IntArray:
-        """The state to which a transition leads that terminates on entering a state."""
+        """Return where a transition that terminates on entering each state leads."""
 
 
 @suggest_keywords
