@@ -841,7 +841,7 @@ def _write_figures(members: Sequence[Member]) -> str:
 def number_notes(
     results: Iterable[Result], warnings: Sequence[tuple[str, Collection[Pair]]]
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
-    """Number warnings from 1, and list the numbers about each (policy, estimator)."""
+    """Give warnings numbers from 1, and list those about each (policy, estimator)."""
     notes: dict[Pair, tuple[int, ...]] = {}
     for result in results:
         pair = (result.policy, result.estimator)
