@@ -19,6 +19,7 @@ from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
 from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.exact import occupancy, state_values
+from oee_tabular.exact.backup import back_up_transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,
@@ -383,9 +384,7 @@ def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
     values = state_values(evidence.with_rows(corrected), policy)
     time = occupancy(problem.model, policy).reshape(-1)
     time = time / (1.0 - problem.simulator.discount)
-    ahead = (
-        evidence.transition_rewards + problem.simulator.discount * values[rows.arrival]
-    )
+    ahead = back_up_transitions(evidence.model, values)
     change = time * rows.sums((corrected - rows.weights) * ahead)
     whole = float(change.sum())
     if not abs(whole) > ERROR_TOLERANCE * max(
