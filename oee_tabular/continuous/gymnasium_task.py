@@ -32,7 +32,7 @@ from oee_tabular.continuous.task import (
     check_probabilities,
 )
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
-from oee_tabular.mdp.environments import require_environment
+from oee_tabular.mdp import require_environment
 from oee_tabular.tasks.stepping import reset_environment, step_environment
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike, Seed
 

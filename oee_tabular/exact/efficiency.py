@@ -28,8 +28,7 @@ from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 

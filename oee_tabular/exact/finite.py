@@ -29,8 +29,7 @@ from oee_tabular.exact.system import (
     policy_system,
     rows_of,
 )
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import check_policy, limit_horizon
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
 # a long sum is a sum of sums of so many terms each: its rounding grows with n / 128

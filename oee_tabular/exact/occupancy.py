@@ -22,8 +22,7 @@ from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
 from oee_tabular.exact.values import policy_rewards, solve, values_or_zeros
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length, total_discount
+from oee_tabular.mdp import check_policy, optional_horizon_length, total_discount
 from oee_tabular.typing import Array, Csr, PolicyLike
 
 

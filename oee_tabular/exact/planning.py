@@ -21,8 +21,7 @@ from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
-from oee_tabular.mdp import FiniteMDP, uniform_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import FiniteMDP, limit_horizon, uniform_policy
 from oee_tabular.typing import Array, IntArray
 
 MAX_TURNS = 100  # turns of modified policy iteration

@@ -26,7 +26,7 @@ from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.values import solve_policy_system
 from oee_tabular.exact.walks import Walk, radius_of
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError, NumericalWarning
-from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
+from oee_tabular.mdp import SHORT_HORIZON, limit_horizon
 from oee_tabular.typing import Array
 
 

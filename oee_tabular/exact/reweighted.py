@@ -17,9 +17,7 @@ from oee_tabular._checks import freeze
 from oee_tabular._results import checked
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import CsrArrays, name_transition
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp import NAMELESS, CsrArrays, FiniteMDP, Names, name_transition
 from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 
 

@@ -16,8 +16,7 @@ from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact import _system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
-from oee_tabular.mdp.arrays import CsrArrays
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp import NAMELESS, CsrArrays, Names
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # entries of a state in the envelope, on average, up to which LU in it is tried

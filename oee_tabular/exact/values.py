@@ -35,8 +35,7 @@ from oee_tabular.exact.system import (
     rows_of,
 )
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
+from oee_tabular.mdp import check_policy, horizon_length, optional_horizon_length
 from oee_tabular.typing import (
     Array,
     BoolArray,

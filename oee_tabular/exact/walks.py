@@ -13,8 +13,7 @@ from oee_tabular._sparse import repeat_rows
 from oee_tabular.exact import _moments
 from oee_tabular.exact.reweighted import RatioLike, entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import FiniteMDP, check_policy, limit_horizon
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
 # states up to which eigenvalues are computed, exactly but for rounding, in O(S^3)

@@ -31,15 +31,19 @@ from oee_tabular.estimators.names import (
 )
 from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.estimators.rewards import reward_effect
-from oee_tabular.exact import Model, action_values, occupancy, policy_value
-from oee_tabular.exact.values import largest_reward
+from oee_tabular.exact import (
+    Model,
+    action_values,
+    largest_reward,
+    occupancy,
+    policy_value,
+)
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.policies import check_policies
+from oee_tabular.mdp import FiniteMDP, check_policies
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
 from oee_tabular.report.uncertainty import (

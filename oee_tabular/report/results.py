@@ -18,8 +18,7 @@ from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
-from oee_tabular.plots import figure_png, plot_values
-from oee_tabular.plots.style import draw_or_warn
+from oee_tabular.plots import draw_or_warn, figure_png, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain, write_report
 from oee_tabular.report.text import Answer

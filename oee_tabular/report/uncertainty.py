@@ -18,8 +18,7 @@ from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
 from oee_tabular.estimators.off_environment import estimate_with_rows
-from oee_tabular.exact import occupancy, state_values
-from oee_tabular.exact.backup import back_up_transitions
+from oee_tabular.exact import back_up_transitions, occupancy, state_values
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,

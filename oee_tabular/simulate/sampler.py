@@ -11,8 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._sparse import repeat_rows, row_of_entry
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -23,7 +22,7 @@ from oee_tabular.typing import (
 )
 
 if TYPE_CHECKING:
-    from oee_tabular.exact.reweighted import RatioLike
+    from oee_tabular.exact import RatioLike
 else:
     RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
@@ -143,7 +142,7 @@ def draw(
     whose states are pairs; ``policy`` is then (S*A, 1). ``name`` is what errors call n.
     """
     # not at import: logs do without
-    from oee_tabular.exact.walks import transition_factors
+    from oee_tabular.exact import transition_factors
 
     _checks.require_memory(9.0 * n, name, n)
     if pairs is None:

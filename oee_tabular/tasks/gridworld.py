@@ -20,8 +20,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
-from oee_tabular.mdp.policies import deterministic_policy
+from oee_tabular.mdp import FiniteMDP, deterministic_policy, mix, uniform_policy
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array
 

@@ -18,9 +18,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.environments import require_environment
-from oee_tabular.mdp.policies import shape_of
+from oee_tabular.mdp import FiniteMDP, check_policy, require_environment, shape_of
 from oee_tabular.tasks.stepping import (
     MAX_EPISODE_STEPS,
     count_actions,

@@ -23,8 +23,7 @@ from oee_tabular.exact import (
     trajectory_efficiency_bound,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.cases import pair_shares

@@ -56,7 +56,7 @@ from oee_tabular.lab.bench.league import (
 )
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
-from oee_tabular.testing.conformance import own_estimator
+from oee_tabular.testing import own_estimator
 from oee_tabular.typing import PolicyLike, SeedNumbers
 
 __all__ = [
