@@ -19,23 +19,23 @@ class CsrParts(Protocol):
 
     @property
     def indptr(self) -> NDArray[np.integer[Any]]:
-        """The first entry of each row, and the number of entries."""
+        """Return the first entry of each row, and the number of entries."""
 
     @property
     def indices(self) -> NDArray[np.integer[Any]]:
-        """The column of each entry."""
+        """Return the column of each entry."""
 
     @property
     def data(self) -> NDArray[Any]:
-        """The value of each entry."""
+        """Return the value of each entry."""
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The numbers of rows and of columns."""
+        """Return the numbers of rows and of columns."""
 
     @property
     def nnz(self) -> int:
-        """The number of entries."""
+        """Return the number of entries."""
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> Csr:
@@ -376,6 +376,11 @@ def row_of_entry(csr: CsrParts) -> IntArray:
     return np.repeat(np.arange(csr.shape[0], dtype=np.int64), np.diff(csr.indptr))
 
 
+def repeat_rows(csr: CsrParts, values: NDArray[Any]) -> NDArray[Any]:
+    """Repeat the value of each row at each of its stored entries."""
+    return np.repeat(values, np.diff(csr.indptr), axis=0)
+
+
 def row_sums(csr: CsrParts, data: Array | None = None) -> Array:
     """Sum the stored entries of each row, or ``data`` on the same pattern."""
     values = csr.data if data is None else data
@@ -389,7 +394,7 @@ def row_sums(csr: CsrParts, data: Array | None = None) -> Array:
 def row_variances(csr: CsrParts, probability: Array, values: Array) -> Array:
     """Compute the variance of ``values`` over each row with these probabilities."""
     mean = row_sums(csr, probability * values)
-    return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
+    return row_sums(csr, probability * (values - repeat_rows(csr, mean)) ** 2)
 
 
 def ratio_on(pattern: CsrParts, ratio: Any, name: str) -> Array:

@@ -502,7 +502,8 @@ def _content(columns):
         if column.dtype.kind != "f":
             continue
         # a reward that is missing is nan
-        missing = np.isnan(column) if name == "reward" else np.zeros_like(column, bool)
+        is_reward = name in ("reward", "reward_min", "reward_max")
+        missing = np.isnan(column) & is_reward
         if not (np.isfinite(column) | missing).all():
             return None
     return hashlib.sha256(

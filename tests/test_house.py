@@ -112,6 +112,52 @@ def test_layout_has_the_rooms_and_their_floors():
         assert (ROOT / "oee_tabular" / file).exists() or (ROOT / file).exists(), file
 
 
+BY_DOOR = {
+    "mdp",
+    "exact",
+    "simulate",
+    "tasks",
+    "plots",
+    "testing",
+    "report",
+    "continuous",
+}
+# an import by the door would be a circle of files, load what is imported on use, or hide
+# a function behind the file of its name
+BESIDE_THE_DOOR = {
+    ("tasks", "mdp.empirical"),
+    ("tasks", "mdp.environments"),
+    ("tasks", "mdp.gymnasium_table"),
+    ("tasks", "mdp.naming"),
+    ("continuous", "tasks.stepping"),
+    ("continuous", "tasks.toy_text"),
+    ("cli", "report.page"),
+    ("__init__.py", "exact.occupancy"),
+}
+
+
+def inner_imports():
+    """Yield (room, inner module of another room) of each such import."""
+    package = ROOT / "oee_tabular"
+    for path in package.rglob("*.py"):
+        here = path.relative_to(package).parts[0]
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                first, _, inner = node.module.partition(".")
+                room, _, module = inner.partition(".")
+                if first == "oee_tabular" and module and room not in ("", here):
+                    yield here, inner
+
+
+def test_rooms_are_entered_by_their_doors():
+    found = {
+        (here, inner)
+        for here, inner in inner_imports()
+        if inner.partition(".")[0] in BY_DOOR
+    }
+    assert found <= BESIDE_THE_DOOR
+
+
 def test_the_core_does_not_import_the_wing():
     code = (
         "import sys, oee_tabular as oee\n"
@@ -119,6 +165,16 @@ def test_the_core_does_not_import_the_wing():
         "assert not [name for name in sys.modules if name.startswith('oee_tabular.continuous')]\n"
         "from oee_tabular.data import ContinuousTransitions\n"
         "assert ContinuousTransitions is oee.ContinuousTransitions\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_pictures_and_agents_are_imported_on_use():
+    """``plot`` of a result imports its picture, ``from_env`` the agent that steps."""
+    code = (
+        "import sys, oee_tabular.inference, oee_tabular.design, oee_tabular.theory\n"
+        "names = ('plots', 'tasks', 'report')\n"
+        "assert not [n for n in names if f'oee_tabular.{n}' in sys.modules]\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

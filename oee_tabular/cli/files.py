@@ -32,7 +32,7 @@ from oee_tabular.cli.options import (
     print_result,
 )
 from oee_tabular.cli.simulators import is_table, read_simulator
-from oee_tabular.continuous.command import is_continuous, record_log, task_options
+from oee_tabular.continuous import is_continuous, record_log, task_options
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
 
@@ -192,7 +192,7 @@ def _record(
     is_stepped: bool,
 ) -> Any:
     """Record a log of numbered states, from the environment or from its FiniteMDP."""
-    from oee_tabular.simulate.sampler import episodes_holding
+    from oee_tabular.simulate import episodes_holding
 
     if is_stepped and task.environment is not None:
         environment = task.environment()
@@ -430,7 +430,7 @@ def describe_files(
     text : str
         What it holds, in one or more lines.
     """
-    from oee_tabular.continuous.log import holds_states
+    from oee_tabular.continuous import holds_states
     from oee_tabular.data.files import find_log_files
 
     file = files[0]
@@ -438,7 +438,7 @@ def describe_files(
     if (path / "report.json").is_file():
         path = path / "report.json"
     if path.suffix.lower() == ".json":
-        from oee_tabular.report.files import summary
+        from oee_tabular.report import summary
 
         return "report", summary(path)
     is_pattern = not path.exists() and bool(set("*?[") & set(file))

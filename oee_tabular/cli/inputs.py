@@ -88,7 +88,7 @@ def is_own(spec: str) -> bool:
 
     Both sides of the colon are words, and the first one is the name of a module.
     """
-    from oee_tabular.tasks.specs import FINITE
+    from oee_tabular.tasks import FINITE
 
     module, colon, rest = spec.partition(":")
     if (
@@ -97,7 +97,7 @@ def is_own(spec: str) -> bool:
         or not all(part.isidentifier() for part in module.split("."))
     ):
         return False
-    from oee_tabular.continuous.command import CONTINUOUS
+    from oee_tabular.continuous import CONTINUOUS
 
     first = rest.split(",")[0]
     return (
@@ -246,8 +246,7 @@ def count_log_files(log: list[str], recorded: Any) -> int:
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
     """Read the policy that ``spec`` names, as an (S, A) array."""
     from oee_tabular.cli.policies import read_policy_table
-    from oee_tabular.mdp import check_policy
-    from oee_tabular.mdp.policies import read_policy_array
+    from oee_tabular.mdp import check_policy, read_policy_array
 
     _progress.report_step(f"reading the policy {spec}")
     mdp = task.mdp
@@ -418,7 +417,7 @@ def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, 
     """
     from oee_tabular.data.rules import MOVE
     from oee_tabular.data.tables import csv_frame
-    from oee_tabular.mdp.rows import Rows
+    from oee_tabular.mdp import Rows
     from oee_tabular.ratio.features import feature_array
     from oee_tabular.ratio.ties import tie_keys
 

@@ -276,7 +276,7 @@ def print_result(text: str, record: Mapping[str, object], as_json: bool) -> None
         say(text)
         return
     from oee_tabular import __version__
-    from oee_tabular.report.files import plain
+    from oee_tabular.report import plain
 
     content = plain({"version": __version__} | dict(record))
     say(json.dumps(content, indent=2, allow_nan=False))

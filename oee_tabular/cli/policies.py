@@ -23,8 +23,7 @@ from oee_tabular.data.labels import (
 from oee_tabular.data.rules import plain
 from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import numbers_of
+from oee_tabular.mdp import FiniteMDP, numbers_of
 
 RULE = (
     "must have the columns state and action, with probability or without, or state and"

@@ -90,7 +90,7 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
 
     A state that no row leaves is terminal.
     """
-    from oee_tabular.mdp.arrays import csr_from_entries
+    from oee_tabular.mdp import csr_from_entries
 
     name = repr(path)
     state, action, following, probability, reward = _read_columns(path, columns)

@@ -52,7 +52,7 @@ from oee_tabular.cli.options import (
     print_result,
     say,
 )
-from oee_tabular.continuous.command import (
+from oee_tabular.continuous import (
     evaluate_files,
     is_continuous,
     read_grid,
@@ -229,7 +229,7 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    from oee_tabular.report.tables import render_intervals
+    from oee_tabular.report import render_intervals
 
     title, outputs = _read_outputs(output, report, overwrite=overwrite)
     settings = task_options(task_option)
@@ -344,7 +344,7 @@ def _read_outputs(
     folder: Path | None, report: str | None, *, overwrite: bool
 ) -> tuple[str | None, list[_writing.Output]]:
     """Split TITLE=FILE.html, and check that folder and page can be written."""
-    from oee_tabular.report.files import ReportOutput, new_page
+    from oee_tabular.report import ReportOutput, new_page
 
     outputs: list[_writing.Output] = []
     if folder is not None:
@@ -518,7 +518,7 @@ def _evaluate_finite(
     show: Callable[[Report], object] | None,
 ) -> Report:
     """Evaluate policies by the files of a simulator and a log."""
-    from oee_tabular.report.evaluation import evaluate_showing
+    from oee_tabular.report import evaluate_showing
     from oee_tabular.report.page import date_of
 
     task, problem = read_problem(
@@ -628,8 +628,7 @@ def compare(
     It prints differences with their intervals and P(best), or says that the log cannot
     tell.
     """
-    from oee_tabular.report.evaluation import contest_showing
-    from oee_tabular.report.tables import render_comparison
+    from oee_tabular.report import contest_showing, render_comparison
 
     if is_continuous(simulator):
         raise ArgumentError(
@@ -1076,7 +1075,7 @@ def check(
     holds, and what was not tested. Where it is 1, a case of a broken law stands before
     it as code.
     """
-    from oee_tabular.testing.conformance import check_module
+    from oee_tabular.testing import check_module
 
     _progress.report_step(f"laws of estimators, on {estimator}")
     verdicts = check_module(

@@ -269,7 +269,7 @@ def evaluate_files(
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import Settings
-    from oee_tabular.mdp.policies import read_policy_array
+    from oee_tabular.mdp import read_policy_array
 
     recorded = ContinuousTransitions.load(log, columns=columns)
     state = options.get("state")
@@ -352,7 +352,7 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
     if not _is_array_file(spec):
         return simulator.policy(spec, name)
     from oee_tabular.continuous.discretization import DEFAULT_VERTICES
-    from oee_tabular.mdp.policies import read_policy_array
+    from oee_tabular.mdp import read_policy_array
 
     if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):
         raise ArgumentError(

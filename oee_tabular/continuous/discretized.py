@@ -33,8 +33,7 @@ from oee_tabular.continuous.task import (
 )
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.finite_mdp import KIND
+from oee_tabular.mdp import KIND, FiniteMDP, check_policy
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, RealArrayLike, Seed
 
 OUTSIDE = ("error", "nearest", "drop")

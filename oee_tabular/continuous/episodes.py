@@ -20,7 +20,7 @@ from oee_tabular.continuous.task import (
     check_states,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import limit_horizon
 from oee_tabular.typing import Array, IntArray, Seed
 
 CHUNK = 4096  # episodes of one random stream

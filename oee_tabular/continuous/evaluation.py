@@ -65,9 +65,15 @@ from oee_tabular.exceptions import (
     NoCellsError,
 )
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
-from oee_tabular.report.results import Report, Result
-from oee_tabular.report.uncertainty import Uncertainty, choose_interval
+from oee_tabular.report import (
+    Report,
+    Result,
+    Uncertainty,
+    choose_interval,
+    evaluate,
+    group_findings,
+    number_notes,
+)
 from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
 
 CALIBRATIONS = (*KINDS, "none")

@@ -32,11 +32,8 @@ from oee_tabular.continuous.task import (
     check_probabilities,
 )
 from oee_tabular.exceptions import ArgumentError, SimulatorWarning
-from oee_tabular.mdp.stepping import (
-    require_environment,
-    reset_environment,
-    step_environment,
-)
+from oee_tabular.mdp import require_environment
+from oee_tabular.tasks.stepping import reset_environment, step_environment
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike, Seed
 
 MIN_STATES_AT_ONCE = 16  # fewer are stepped one by one

@@ -59,7 +59,7 @@ from oee_tabular.data.opening import read_log as read_log
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.log import ContinuousTransitions
+    from oee_tabular.continuous import ContinuousTransitions
 
 
 # here, for counts are made of logs: logs need not know how they are counted

@@ -44,7 +44,7 @@ from oee_tabular.data.tables import (
 )
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import Name, numbers_of
+from oee_tabular.mdp import Name, numbers_of
 from oee_tabular.typing import BoolArray, Column, IntArray
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1

@@ -48,7 +48,7 @@ from oee_tabular.data.tables import (
     write_parquet,
 )
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp.naming import Name, from_text, to_text
+from oee_tabular.mdp import Name, from_text, to_text
 from oee_tabular.typing import Column
 
 # a file, a folder, a pattern, or several

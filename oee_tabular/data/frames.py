@@ -33,7 +33,7 @@ from oee_tabular.data.rules import (
     settle_episodes,
 )
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp.naming import (
+from oee_tabular.mdp import (
     Name,
     check_names,
     is_name,

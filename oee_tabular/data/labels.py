@@ -26,7 +26,7 @@ from oee_tabular.data.aliases import (
 )
 from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, is_absent, plain
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp.naming import is_number_text
+from oee_tabular.mdp import is_number_text
 from oee_tabular.typing import Column
 
 # what a file calls a log's columns; several labels make a name or a vector, and None

@@ -58,8 +58,7 @@ from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile
 from oee_tabular.data.transitions import Transitions, names_by_label
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import name_text
+from oee_tabular.mdp import FiniteMDP, name_text
 from oee_tabular.typing import Column
 
 

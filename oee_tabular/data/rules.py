@@ -22,13 +22,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import (
-    Name,
-    is_number_text,
-    numbers_of,
-    suggest_name,
-    to_plain,
-)
+from oee_tabular.mdp import Name, is_number_text, numbers_of, suggest_name, to_plain
 from oee_tabular.typing import Array, BoolArray, Column, IntArray, SupportsArray
 
 # a column of a log as it is given: numbers, flags or names; a text is no column

@@ -51,7 +51,7 @@ from oee_tabular.data.rules import (
     parse_flag,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import is_number_text, to_plain
+from oee_tabular.mdp import is_number_text, to_plain
 from oee_tabular.typing import Column, IntArray
 
 # rows of a piece

@@ -29,8 +29,7 @@ from oee_tabular.data.rules import (
 )
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, NamesLike, name_text, renumber
+from oee_tabular.mdp import FiniteMDP, Name, NamesLike, name_text, renumber
 from oee_tabular.typing import Column, Csr, FrameLike, IntArray, RealArrayLike
 
 if TYPE_CHECKING:

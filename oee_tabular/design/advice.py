@@ -11,7 +11,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.design.costs import row_costs
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import reweight
-from oee_tabular.mdp.naming import Names
+from oee_tabular.mdp import Names
 from oee_tabular.ratio import Conditional
 from oee_tabular.ratio.dual import Box
 from oee_tabular.typing import Array, BoolArray

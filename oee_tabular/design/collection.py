@@ -25,9 +25,13 @@ from oee_tabular.design.programs import (
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
-from oee_tabular.mdp.policies import split_policies
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    optional_horizon_length,
+    split_policies,
+    uniform_policy,
+)
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported

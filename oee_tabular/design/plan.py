@@ -14,8 +14,7 @@ from oee_tabular._results import checked
 from oee_tabular.design.advice import advice_sentence, describe_pair
 from oee_tabular.design.programs import sum_variances
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import NAMELESS, Names, name_text
-from oee_tabular.plots import plot_states
+from oee_tabular.mdp import NAMELESS, Names, name_text
 from oee_tabular.typing import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
@@ -323,6 +322,8 @@ class Plan:
         matplotlib Axes
             The axes with the picture.
         """
+        from oee_tabular.plots import plot_states  # a room above, on use
+
         numbers = range(len(self.counts))
         if self.names.states is None:
             names = [f"state {s}" for s in numbers]

@@ -18,12 +18,9 @@ from oee_tabular._sparse import row_variances
 from oee_tabular.estimators.diagnostics import DiagnosticsField
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
-from oee_tabular.exact import ReweightedModel, reweight
-from oee_tabular.exact.system import exponent
-from oee_tabular.exact.values import largest_reward
+from oee_tabular.exact import ReweightedModel, exponent, largest_reward, reweight
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair

@@ -29,20 +29,19 @@ from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
 from oee_tabular.exact import (
     Model,
     policy_value,
+    require_action_support,
     reweight,
+    time_in_pairs,
     transition_gradient,
+    values_or_zeros,
+    values_to_go,
+    walk_of,
 )
-from oee_tabular.exact.efficiency import require_action_support
-from oee_tabular.exact.finite import values_to_go
-from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.exact.values import values_or_zeros
-from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
-from oee_tabular.simulate.sampler import Drawn, draw
+from oee_tabular.simulate import Drawn, draw
 from oee_tabular.typing import Array, IntArray
 
 

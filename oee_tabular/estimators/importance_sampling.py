@@ -30,8 +30,7 @@ from oee_tabular.estimators.rollouts import (
     step_numbers,
     weight_status,
 )
-from oee_tabular.exact import policy_is_moments
-from oee_tabular.exact.walks import walk_of
+from oee_tabular.exact import policy_is_moments, walk_of
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, BoolArray, IntArray

@@ -24,13 +24,16 @@ from oee_tabular.estimators.base import (
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rewards import mean_rewards
-from oee_tabular.exact import Model, occupancy, reweight
-from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.exact.system import policy_kernel
-from oee_tabular.exact.values import solve_policy_system
+from oee_tabular.exact import (
+    Model,
+    occupancy,
+    policy_kernel,
+    reweight,
+    solve_policy_system,
+    time_in_pairs,
+)
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import total_discount
+from oee_tabular.mdp import FiniteMDP, total_discount
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.method import Population

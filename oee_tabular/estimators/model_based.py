@@ -22,10 +22,13 @@ from oee_tabular.estimators.base import (
 )
 from oee_tabular.estimators.findings import MIN_SHARE, Finding
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.exact import evaluate_policy, policy_value, transition_gradient
-from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import csr_from_entries
+from oee_tabular.exact import (
+    evaluate_policy,
+    policy_value,
+    time_in_pairs,
+    transition_gradient,
+)
+from oee_tabular.mdp import FiniteMDP, csr_from_entries
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array, Csr
 

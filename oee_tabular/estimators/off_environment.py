@@ -34,16 +34,16 @@ from oee_tabular.exact import (
     evaluate_policy,
     policy_value,
     reweight,
+    time_in_pairs,
     transition_gradient,
     weighted_return_moments,
+    with_rows,
 )
-from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.exceptions import DivergentKernelError
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
-from oee_tabular.simulate.sampler import draw
+from oee_tabular.simulate import draw
 from oee_tabular.typing import Array
 
 NORMAL = NormalDist().inv_cdf(0.975)

@@ -25,8 +25,7 @@ from oee_tabular.estimators.rewards import (
 )
 from oee_tabular.estimators.starts import StartConflict, find_start_conflict
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible

@@ -10,10 +10,8 @@ import numpy as np
 
 from oee_tabular._sparse import align, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular.data import TransitionCounts, Transitions
-from oee_tabular.exact import policy_value
-from oee_tabular.exact.values import largest_reward
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import csr_from_entries
+from oee_tabular.exact import largest_reward, policy_value
+from oee_tabular.mdp import FiniteMDP, csr_from_entries
 from oee_tabular.typing import Array
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 from oee_tabular.estimators.base import mean_and_error
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.simulate.sampler import Drawn, entry_rewards
+from oee_tabular.simulate import Drawn, entry_rewards
 from oee_tabular.typing import Array, IntArray
 
 NEGLIGIBLE_DISCOUNT = 1e-12  # an infinite sum is cut where discount^t is below this

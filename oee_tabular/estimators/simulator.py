@@ -35,8 +35,7 @@ from oee_tabular.estimators.base import (
 from oee_tabular.estimators.off_environment import NORMAL, OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, occupancy, transition_gradient
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import total_discount
+from oee_tabular.mdp import FiniteMDP, total_discount
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 from oee_tabular.typing import Array

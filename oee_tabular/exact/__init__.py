@@ -19,6 +19,8 @@ Each formula is followed by the module that computes it::
         values
     V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0
         finite, backward (horizon T)
+    r(s, a) + gamma sum_{s'} P V(s'),    r(s, a, s') + gamma V(s')
+        backup (Bellman's, of pairs and of transitions)
     V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]
         planning
     dJ / dP(s' | s, a) = d(s, a) [r(s, a, s') + gamma V(s')] / (1 - gamma)
@@ -51,13 +53,18 @@ References: Puterman, Markov Decision Processes, 1994; Berman and Plemmons, Nonn
 Matrices in the Mathematical Sciences, 1994.
 """
 
+from oee_tabular.exact.backup import back_up_transitions as back_up_transitions
 from oee_tabular.exact.efficiency import (
     efficiency_bound,
     leading_bias,
     ratio_of_ratios_variance,
     trajectory_efficiency_bound,
 )
+from oee_tabular.exact.efficiency import (
+    require_action_support as require_action_support,
+)
 from oee_tabular.exact.finite import policy_values_by_horizon
+from oee_tabular.exact.finite import values_to_go as values_to_go
 from oee_tabular.exact.moments import (
     doubly_robust_moments,
     policy_is_moments,
@@ -65,9 +72,20 @@ from oee_tabular.exact.moments import (
     weighted_return_moments,
 )
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
+from oee_tabular.exact.occupancy import time_in_pairs as time_in_pairs
 from oee_tabular.exact.planning import optimal_policy
+from oee_tabular.exact.reach import reached_states as reached_states
 from oee_tabular.exact.recursions import Moments
 from oee_tabular.exact.reweighted import Model, ReweightedModel, reweight
+from oee_tabular.exact.reweighted import RatioLike as RatioLike
+from oee_tabular.exact.reweighted import with_rows as with_rows
+from oee_tabular.exact.system import Kernel as Kernel
+from oee_tabular.exact.system import System as System
+from oee_tabular.exact.system import as_readonly as as_readonly
+from oee_tabular.exact.system import exponent as exponent
+from oee_tabular.exact.system import policy_kernel as policy_kernel
+from oee_tabular.exact.system import policy_system as policy_system
+from oee_tabular.exact.system import recurrent_states as recurrent_states
 from oee_tabular.exact.values import (
     LinearSolution,
     action_values,
@@ -76,8 +94,13 @@ from oee_tabular.exact.values import (
     solve_policy_system,
     state_values,
 )
+from oee_tabular.exact.values import largest_reward as largest_reward
+from oee_tabular.exact.values import values_or_zeros as values_or_zeros
+from oee_tabular.exact.walks import transition_factors as transition_factors
+from oee_tabular.exact.walks import walk_of as walk_of
 from oee_tabular.exact.walks import weight_growth, weight_moments
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
     "LinearSolution",
     "Model",

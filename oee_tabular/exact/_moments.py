@@ -26,11 +26,11 @@ between the s' it has sum q (z - mean)^2. All are squares. The last one follows 
 differences d to the first entry's z, sum q d^2 - (sum q d)^2, of which at most a share
 1 - q cancels: the first has at least half of the largest probability.
 
-States are taken LANES at a time, states with equally many s' together, and an entry's
-numbers stand side by side for such a strip: its arithmetic is done by vector
-instructions, with every sum in the order of its state. Entries are in the order in
-which actions have them: in grids the entries of a strip lead mostly to consecutive
-states and are read as such.
+States are taken ``N_LANES`` at a time, states with equally many s' together: a strip.
+The numbers of an entry stand side by side for the states (lanes) of a strip, so that
+its arithmetic is done by vector instructions, with every sum in the order of its state.
+Entries are in the order in which actions have them: in grids the entries of a strip
+lead mostly to consecutive states and are read as such.
 """
 
 from collections import namedtuple
@@ -39,9 +39,12 @@ import numpy as np
 
 from oee_tabular._compiling import njit
 
-LANES = 32  # states of a strip
-PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho
-SMALLEST_VARIANCE = 1e-280  # the least q Var b; what is less has lost its digits
+N_LANES = 32  # states of a strip, whose numbers stand side by side
+N_PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho
+# the least q Var b, in squared weights: the squares of what is less have lost digits
+MIN_WEIGHT_VARIANCE = 1e-280
+# entries that padding may add, as a multiple of all entries, before states are sorted
+MAX_PADDING_FACTOR = 1.25
 
 # where each strip's entries begin; where an entry leads, and whether its lanes lead
 # side by side; its numbers; probabilities and residuals of the states; the states by
@@ -190,7 +193,7 @@ def merge(walk):
 
     q = sum pi P, b_mean = sum pi P f / q, e_mean = sum pi P e / q, c = q Var b, rho =
     Cov(b, e) / Var b over the actions that lead to s'. Returns a CSR matrix with
-    ``PARTS`` numbers an entry, and each state's residual of e on b.
+    ``N_PARTS`` numbers an entry, and each state's residual of e on b.
     """
     indptr, indices, prob, w, acts, us, by_transition, rewards, initial, _ = walk
     n_states = len(initial)
@@ -201,7 +204,7 @@ def merge(walk):
     starts = np.zeros(n_states + 1, np.uint32)
     place = np.zeros(n_states, np.uint32)
     columns = np.empty(len(indices), np.uint32)
-    numbers = np.zeros((len(indices), PARTS))
+    numbers = np.zeros((len(indices), N_PARTS))
     residual = np.zeros(n_states)
     for s in range(n_states):
         begin = filled
@@ -237,7 +240,7 @@ def merge(walk):
                 if turn == 0:
                     numbers[at, 1] /= numbers[at, 0]
                     numbers[at, 2] /= numbers[at, 0]
-                elif turn == 1 and numbers[at, 3] > SMALLEST_VARIANCE:
+                elif turn == 1 and numbers[at, 3] > MIN_WEIGHT_VARIANCE:
                     numbers[at, 4] /= numbers[at, 3]
                 elif turn == 1:  # b does not vary: all of e is residual
                     numbers[at, 3] = numbers[at, 4] = 0.0
@@ -251,10 +254,11 @@ def strip_offsets(lengths, order):
 
     A strip has as many entries as the longest of its states.
     """
-    offsets = np.zeros((len(order) + LANES - 1) // LANES + 1, np.int64)
+    offsets = np.zeros((len(order) + N_LANES - 1) // N_LANES + 1, np.int64)
     for strip in range(len(offsets) - 1):
         offsets[strip + 1] = (
-            offsets[strip] + lengths[order[strip * LANES : (strip + 1) * LANES]].max()
+            offsets[strip]
+            + lengths[order[strip * N_LANES : (strip + 1) * N_LANES]].max()
         )
     return offsets
 
@@ -271,46 +275,49 @@ def lay_strips(starts, columns, numbers, residual):
     states = np.arange(n_states)
     offsets = strip_offsets(lengths, states)
     # where that pads too much, states of one length go together
-    if offsets[-1] * LANES > 1.25 * n_filled:
+    if offsets[-1] * N_LANES > MAX_PADDING_FACTOR * n_filled:
         states = np.argsort(lengths, kind="mergesort")
         offsets = strip_offsets(lengths, states)
-    size = (len(offsets) - 1) * LANES
+    size = (len(offsets) - 1) * N_LANES
     lane_of = np.zeros(n_states, np.uint32)
     order = np.full(size, n_states, np.int64)
     order[:n_states] = states
     lane_of[states] = np.arange(n_states)
-    to = np.full(offsets[-1] * LANES, size, np.uint32)
-    laid = np.zeros(offsets[-1] * LANES * PARTS)
+    to = np.full(offsets[-1] * N_LANES, size, np.uint32)
+    laid = np.zeros(offsets[-1] * N_LANES * N_PARTS)
     fixed = np.zeros(2 * size)
     # the entries of state s in its lane, one of large probability in front
     for i in range(n_states):
         s = states[i]
-        first = offsets[i // LANES]
-        lane = i % LANES
+        first = offsets[i // N_LANES]
+        lane = i % N_LANES
         begin = np.int64(starts[s])
         end = np.int64(starts[s + 1])
         both = (i - lane) * 2 + lane
-        fixed[both + LANES] = residual[s]
+        fixed[both + N_LANES] = residual[s]
         largest = begin
         for entry in range(begin, end):
             fixed[both] += numbers[entry, 0]
             if numbers[entry, 0] > 2.0 * numbers[largest, 0]:
                 largest = entry
         for entry in range(begin, end):
-            source = (
-                begin if entry == largest else (largest if entry == begin else entry)
-            )
+            # the first entry and the largest change places
+            source = entry
+            if entry == largest:
+                source = begin
+            elif entry == begin:
+                source = largest
             at = first + entry - begin
-            to[at * LANES + lane] = lane_of[columns[source]]
-            for part in range(PARTS):
-                laid[(at * PARTS + part) * LANES + lane] = numbers[source, part]
+            to[at * N_LANES + lane] = lane_of[columns[source]]
+            for part in range(N_PARTS):
+                laid[(at * N_PARTS + part) * N_LANES + lane] = numbers[source, part]
     # whether an entry leads from all lanes to consecutive states
     aligned = np.ones(offsets[-1], np.bool_)
     for entry in range(len(aligned)):
-        for lane in range(1, LANES):
-            aligned[entry] &= to[entry * LANES + lane] == to[entry * LANES] + np.uint32(
-                lane
-            )
+        for lane in range(1, N_LANES):
+            aligned[entry] &= to[entry * N_LANES + lane] == to[
+                entry * N_LANES
+            ] + np.uint32(lane)
     return Strips(offsets, to, aligned, laid, fixed, order)
 
 
@@ -319,16 +326,16 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
     """Carry all strips one step back: y, v -> factor X - offset, factor^2 Var X.
 
     X(s) = sum q (b_mean y + e_mean), Var X(s) = sum (q b_mean^2 + c) v + the state's
-    own variance, which ``local`` takes. The last LANES of y and v are room for what an
-    entry leads to where that does not stand side by side. ``lanes`` is LANES: a short
-    loop over a number known beforehand would be unrolled before it is made of vector
-    instructions, and not be.
+    own variance, which ``local`` takes. The last ``N_LANES`` of y and v are room for
+    what an entry leads to where that does not stand side by side. ``lanes`` is
+    ``N_LANES`` as an argument: a short loop over a number that the compiler knows would
+    be unrolled, and then not be made of vector instructions.
     """
     offsets, columns, aligned, numbers, fixed, _ = strips
     (y, v) = here
     (new_y, new_v) = there
-    one = np.uint64(LANES)
-    tail = np.uint64(np.uint32(len(y) - LANES))
+    one = np.uint64(N_LANES)
+    tail = np.uint64(np.uint32(len(y) - N_LANES))
     two = one * np.uint64(2)
     three = one * np.uint64(3)
     four = one * np.uint64(4)
@@ -344,7 +351,7 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                     x = np.uint64(columns[at + i])
                     y[tail + i] = y[x]
                     v[tail + i] = v[x]
-            at *= np.uint64(PARTS)
+            at *= np.uint64(N_PARTS)
             # the first entry's z, from which the others' differences are taken
             if entry == offsets[strip]:
                 for i in range(one):
@@ -395,10 +402,10 @@ def backward_merged(strips, discounts, offsets, keep):
     horizon = len(discounts)
     size = len(strips.order)
     # per lane: z of the first entry; sums of q d, of squares, of what v carries
-    room = np.zeros(4 * LANES)
+    room = np.zeros(4 * N_LANES)
     # y and v have a 0 behind the states, which padding reads, and then room
     lanes = np.uint64(len(room) // 4)
-    length = size + 1 + LANES
+    length = size + 1 + N_LANES
     here = (np.zeros(length), np.zeros(length))
     there = (np.zeros(length), np.zeros(length))
     local = np.empty((horizon if keep else 0, size))

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular._compiling import njit
 from oee_tabular.typing import Array
 
-EPS = float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)  # the relative spacing of floats at 1
 
 
 @njit(cache=True)
@@ -63,6 +63,7 @@ def fill_rows(
 ):
     """Write the rows of ``average_rows``, and return how many entries they have.
 
+    P_pi(s' | s) += policy[s, a] K(s' | s, a) for each action a and each s' in turn.
     ``place`` and ``starts`` begin as zeros.
     """
     n_actions = policy.shape[1]
@@ -98,7 +99,9 @@ def average_rewards(policy: Array, rewards: Array) -> tuple[Array, float]:
     The scale is the largest sum of the magnitudes.
     """
     total = np.zeros(len(policy))
-    return total, add_rewards(policy, rewards, total)
+    # the loop is compiled for one kind of array
+    contiguous = np.ascontiguousarray(policy)
+    return total, add_rewards(contiguous, rewards, total)
 
 
 @njit(cache=True)
@@ -191,9 +194,10 @@ def multiply(indptr, indices, data, transpose, x, out):
 
 
 class Residual(NamedTuple):
-    """The residual b - M x, its largest magnitude, a bound, and the largest rounding.
+    """Hold the residual b - M x, its largest magnitude, a bound and the rounding.
 
-    The bound is on the largest magnitude of the exact residual; transposed, on the sum.
+    The rounding is the largest of an entry. The bound is on the largest magnitude of
+    the exact residual; transposed, on the sum of the magnitudes.
     """
 
     missed: Array
@@ -211,11 +215,8 @@ def residual(
 ) -> Residual:
     """Compute the residual b - M x and bounds on it.
 
-    M = I - discount K, or its transpose.
-
-    Each term of an entry meets at most (entries of the row + 4) roundings, and
-    ``n_roundings`` more in the kernel itself. The bound is on the largest magnitude
-    with its rounding, transposed on the sum of them.
+    M = I - discount K, or its transpose. Each term of an entry meets at most (entries
+    of the row + 4) roundings, and ``n_roundings`` more in the kernel itself.
     """
     missed = np.array(b)
     room = np.zeros((3, len(b)))
@@ -296,7 +297,9 @@ def transpose_rows(indptr, indices, data, n_columns):
     return starts, columns, values
 
 
-N_FREE = 1000  # entries by which a count may exceed its limit at the beginning
+# entries by which a count may exceed its limit, which is a mean that the first states
+# need not have
+N_FREE_ENTRIES = 1000
 
 
 @njit(cache=True)
@@ -341,7 +344,7 @@ def breadth_first(kernel, back, widest):
                         distance += tail - head
                         tail += 1
             head += 1
-            if distance > widest * (n_done + tail) + N_FREE:
+            if distance > widest * (n_done + tail) + N_FREE_ENTRIES:
                 return queue[:0], place[:0]
         # it stands before the trees that were found earlier
         free -= tail
@@ -454,6 +457,6 @@ def fills_little(kernel, back, order, place, most):
                     mark[j] = i
                     count += 1
                     j = parent[j]
-        if count > most * (i + 1) + N_FREE:
+        if count > most * (i + 1) + N_FREE_ENTRIES:
             return False
     return True

@@ -24,18 +24,18 @@ import numpy as np
 
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _system, finite
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.exact.system import policy_system, rows_of
+from oee_tabular.exact.system import SMALLEST_FLOAT, policy_system
 from oee_tabular.typing import Array
 
-HALF_SPACING = 0.5 * float(np.finfo(float).eps)
-SMALLEST = 5e-324  # the rounding of numbers that are subnormal
-# by which products of roundings, and the roundings of the bound itself, exceed sums
-PRODUCTS = 1.0 + 1e-6
+UNIT_ROUNDOFF = 0.5 * _system.EPS  # u: the largest relative error of one rounding
+# the factor by which products of roundings, and those of the bound itself, exceed sums
+ROUNDING_FACTOR = 1.0 + 1e-6
 
 
 class BoundedValues(NamedTuple):
-    """V_0 (S,), and a bound on its error and on that of mu_0 . V_0."""
+    """Hold V_0 (S,), and a bound on its error and on the error of mu_0 . V_0."""
 
     values: Array
     error_bound: float
@@ -52,32 +52,21 @@ def last_values(model: Model, policy: Array, steps: int) -> Array:
     return value
 
 
-def back_up(model: Model, value: Array) -> Array:
-    """Compute Q(s, a) = r(s, a) + gamma sum_s' K(s' | s, a) V(s'), of shape (S, A)."""
-    following = np.empty(model.rewards.size)
-    _system.multiply(*rows_of(model.csr), False, value, following)
-    return np.asarray(
-        model.rewards + model.discount * following.reshape(model.rewards.shape)
-    )
-
-
 def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
     """Compute V_0 of a checked policy, with a bound on the rounding."""
     if policy.ndim == 2:
         system = policy_system(model, policy)
-        rewards, largest = _system.average_rewards(
-            np.ascontiguousarray(policy), model.rewards
-        )
+        rewards, largest = _system.average_rewards(policy, model.rewards)
         n_terms = int(np.diff(system.kernel.indptr.astype(np.int64)).max())
         growth = system.row_sums[1]
     else:
         largest = float(np.abs(model.rewards).max())
         n_terms = int(np.diff(model.csr.indptr).max())
         growth = float(row_sums(model.transitions).max() * policy.sum(axis=2).max())
-    each = HALF_SPACING * (n_terms + model.n_actions + 3)
-    of_rewards = HALF_SPACING * (model.n_actions + 2) * largest
-    of_rewards += SMALLEST * (2 * n_terms + model.n_actions + 3)
-    carried = model.discount * growth * PRODUCTS
+    each = UNIT_ROUNDOFF * (n_terms + model.n_actions + 3)
+    of_rewards = UNIT_ROUNDOFF * (model.n_actions + 2) * largest
+    of_rewards += SMALLEST_FLOAT * (2 * n_terms + model.n_actions + 3)
+    carried = model.discount * growth * ROUNDING_FACTOR
     if policy.ndim == 2:
         out = np.empty((2, model.n_states))
         size, error = finite.sweep_all(
@@ -93,11 +82,11 @@ def bounded_values(model: Model, policy: Array, horizon: int) -> BoundedValues:
             size = _system.largest_magnitude(values)
     # the sum mu_0 . V_0, in parts
     n_parts = finite.N_CHUNK_TERMS + model.n_states // finite.N_CHUNK_TERMS + 2
-    error += HALF_SPACING * min(n_parts, model.n_states + 1) * size
-    error *= PRODUCTS
+    error += UNIT_ROUNDOFF * min(n_parts, model.n_states + 1) * size
+    error *= ROUNDING_FACTOR
     return BoundedValues(values, float(error) if error < np.inf else np.inf)
 
 
 def _step_back(model: Model, act: Array, value: Array) -> Array:
     """Compute r_act + gamma P_act V (S,) of a step's policy (S, A)."""
-    return np.asarray(np.einsum("sa,sa->s", act, back_up(model, value)))
+    return np.asarray(np.einsum("sa,sa->s", act, back_up_pairs(model, value)))

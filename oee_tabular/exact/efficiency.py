@@ -21,14 +21,14 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import dot, one_thread
 from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
+from oee_tabular.exact.backup import back_up_transitions
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
@@ -149,8 +149,7 @@ def leading_bias(
     values = state_values(target, pi)
     rows = row_of_entry(matrix)
     state = rows // target.n_actions
-    rewards = 0.0 if target.reward_data is None else target.reward_data
-    ahead = gamma * values[matrix.indices] + rewards
+    ahead = back_up_transitions(target, values)
     back = visits[matrix.indices, state] * pi.reshape(-1)[rows]
     mean = row_sums(matrix, matrix.data * ahead)
     covariance = row_sums(matrix, matrix.data * back * (ahead - mean[rows]))
@@ -366,9 +365,8 @@ def trajectory_efficiency_bound(
     weights = _pair_weights(mdp, behavior, pi, length, is_tree=model == "tree")
     values = values_to_go(mdp, pi, length)
     total = dot(mdp.initial, (values[0] - dot(mdp.initial, values[0])) ** 2)
-    rewards = 0.0 if mdp.reward_data is None else mdp.reward_data
     for t, weight in enumerate(weights):
-        ahead = rewards + mdp.discount * values[t + 1][matrix.indices]
+        ahead = back_up_transitions(mdp, values[t + 1])
         variances = row_variances(matrix, matrix.data, ahead)
         total += mdp.discount ** (2 * t) * dot(weight, variances)
     return total

@@ -19,6 +19,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._compiling import njit
+from oee_tabular._sparse import repeat_rows
 from oee_tabular.exact._system import average_rewards
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
@@ -28,24 +29,23 @@ from oee_tabular.exact.system import (
     policy_system,
     rows_of,
 )
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import check_policy, limit_horizon
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
 # a long sum is a sum of sums of so many terms each: its rounding grows with n / 128
 N_CHUNK_TERMS = 128
 
-# arguments of kernels that are not wanted
+# what compiled loops get for an argument that is not wanted
 NOTHING: Array = np.zeros(0)
 NO_INITIAL: Array = as_readonly(np.zeros(0))
 NO_ENDS: IntArray = np.zeros(0, dtype=np.int64)
 
 
 class Cone(NamedTuple):
-    """The light cone of the first states: states, rows and rewards under new numbers.
+    """Hold the light cone of the first states, with new numbers for its states.
 
-    The states stand in the order in which they are first reached; at most k transitions
-    reach the first ends[k] of them.
+    ``states`` has their old numbers. They stand in the order in which they are first
+    reached: k transitions reach the first ends[k] of them at most.
     """
 
     states: Any
@@ -174,7 +174,7 @@ def values_to_go(
     Row t has T - t rewards to go. Unless ``is_each``, V_0 alone is returned, (1, S).
     """
     out = np.empty((horizon + 1 if is_each else 2, model.n_states))
-    rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
+    rewards, _ = average_rewards(policy, model.rewards)
     sweep_all(policy_system(model, policy).kernel, rewards, horizon, out)
     return out if is_each else out[:1]
 
@@ -224,7 +224,7 @@ def gradient_to_horizon(
     data = np.zeros(0) if valued.reward_data is None else valued.reward_data
     rewards = as_readonly(data)
     to_go = values_to_go(valued, policy, horizon)
-    out = np.zeros(valued.transitions.nnz)
+    out = np.zeros(valued.csr.nnz)
     here, there = np.zeros((2, model.n_states))
     here[:] = model.initial
     indptr, columns, _ = rows_of(valued.csr)
@@ -240,8 +240,7 @@ def gradient_to_horizon(
         there,
         out,
     )
-    lengths = np.diff(valued.transitions.indptr)
-    return np.asarray(out * np.repeat(policy.reshape(-1), lengths))
+    return np.asarray(out * repeat_rows(valued.csr, policy.reshape(-1)))
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:

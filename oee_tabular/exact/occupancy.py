@@ -14,15 +14,15 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular._sparse import csr_on_pattern, row_of_entry
+from oee_tabular._sparse import csr_on_pattern, repeat_rows
+from oee_tabular.exact.backup import back_up_transitions
 from oee_tabular.exact.finite import gradient_to_horizon, visits
 from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
 from oee_tabular.exact.values import policy_rewards, solve, values_or_zeros
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import check_policy, optional_horizon_length, total_discount
 from oee_tabular.typing import Array, Csr, PolicyLike
 
 
@@ -114,14 +114,13 @@ def occupancy(
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
         pi = check_policy(policy, mdp, horizon=steps)
-        total = (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
-        pairs = visits(mdp, pi, steps) / total
+        pairs = visits(mdp, pi, steps) / total_discount(mdp.discount, steps)
     if of == "state":
         return np.asarray(pairs.sum(axis=1))
     if of == "state_action":
         return pairs
-    data = pairs.reshape(-1)[row_of_entry(mdp.transitions)] * mdp.transitions.data
-    return csr_on_pattern(mdp.transitions, data)
+    data = repeat_rows(mdp.csr, pairs.reshape(-1)) * mdp.csr.data
+    return csr_on_pattern(mdp.csr, data, own=True)
 
 
 def infinite_visits(model: Model, policy: Array) -> Array:
@@ -237,17 +236,14 @@ def transition_gradient(
     steps = optional_horizon_length(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of
-    lengths = np.diff(valued.transitions.indptr)
     if steps is None:
         known = values_or_zeros(valued, pi) if values is None else values
-        gradient = (model.discount * known)[valued.transitions.indices]
-        if valued.reward_data is not None:
-            gradient += valued.reward_data
+        gradient = back_up_transitions(valued, known)
         if time is None or model.discount == 1.0:
-            visited = infinite_visits(model, pi)
+            times = infinite_visits(model, pi)
         else:
-            visited = time.sum(axis=1) / (1.0 - model.discount)
-        weight = np.repeat((visited[:, None] * pi).reshape(-1), lengths)
+            times = time.sum(axis=1) / (1.0 - model.discount)
+        weight = repeat_rows(valued.csr, (times[:, None] * pi).reshape(-1))
         gradient *= weight
         # V may be nan in states that are never reached
         if values is not None and np.isnan(values).any():

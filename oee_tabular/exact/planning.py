@@ -1,11 +1,10 @@
 """Optimal policies by modified policy iteration, certified by policy iteration.
 
 Modified policy iteration sweeps over all actions, and then over the best actions [1,
-6.5]. Only differences between states matter to actions, so that it is the spread of
-the changes that has to fall: the change that all states share is left out, and the
-discount does not slow the iteration down. In the end it is summed: the values of the
-last actions are what is left plus gamma / (1 - gamma) of it. Policy iteration with
-exact values follows, and certifies the policy.
+6.5]. Actions depend only on differences between states. So the iteration ends when all
+states change by nearly the same amount, which a discount near 1 does not delay. This
+common change c would go on for ever: c gamma / (1 - gamma) is added to the values at
+the end. Policy iteration with exact values follows, and certifies the policy.
 
 Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
@@ -18,16 +17,24 @@ from oee_tabular import _checks
 from oee_tabular._compiling import njit
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exact import _system
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
-from oee_tabular.mdp import FiniteMDP, uniform_policy
-from oee_tabular.mdp.horizons import limit_horizon
-from oee_tabular.typing import Array
+from oee_tabular.mdp import FiniteMDP, limit_horizon, uniform_policy
+from oee_tabular.typing import Array, IntArray
 
 MAX_TURNS = 100  # turns of modified policy iteration
 # fewer turns where a graph is narrow: exact evaluation is as quick as some sweeps there
 MAX_TURNS_NARROW = 3
+# The tolerances are shares of the largest value. Sweeps end where the changes of the
+# states differ by less than the first.
+SPREAD_TOLERANCE = 1e-9
+# An action is better where its value is larger by more than this, or by less where that
+# adds up over time to more than ``MAX_TOTAL_LOSS``.
+ACTION_TOLERANCE = 1e-11
+MAX_TOTAL_LOSS = 1e-6
+MIN_ACTION_TOLERANCE = 1e-14  # some roundings of a value
 
 
 @suggest_keywords
@@ -97,18 +104,19 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         values = None
     else:
         n_turns = MAX_TURNS_NARROW if is_narrow(mdp) else MAX_TURNS
-        actions, values = iterate_modified(model, 1e-9, n_turns)
-    rounding = 1e-11
+        actions, values = iterate_modified(model, SPREAD_TOLERANCE, n_turns)
+    tolerance = ACTION_TOLERANCE
     if mdp.discount < 1.0:
         # near discount 1 a small loss a step adds up to a large one
-        rounding = min(max(1e-6 * (1.0 - mdp.discount), 1e-14), rounding)
+        limit = max(MAX_TOTAL_LOSS * (1.0 - mdp.discount), MIN_ACTION_TOLERANCE)
+        tolerance = min(limit, ACTION_TOLERANCE)
     earlier: set[bytes] = set()
     choices: Array = np.eye(mdp.n_actions)
     while True:
         earlier.add(actions.tobytes())
         policy = choices[actions]
         values = finite_values(infinite_values(mdp, policy, near=values))
-        first, actions = find_better_actions(model, values, actions, rounding)
+        first, actions = find_better_actions(mdp, values, actions, tolerance)
         if actions.tobytes() not in earlier:
             continue
         # among equals the first; at discount 1 an equal action may never be absorbed,
@@ -126,6 +134,23 @@ def is_narrow(mdp: FiniteMDP) -> bool:
     if _system.expands(Kernel(pointers, rows.indices, rows.data, 1.0)):
         return False
     return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
+
+
+def find_better_actions(
+    mdp: FiniteMDP, values: Array, actions: IntArray, relative: float
+) -> tuple[IntArray, IntArray]:
+    """Find each state's first best action up to rounding, and the actions that improve.
+
+    Q = r + gamma P V for the values of ``actions``. The second result has ``actions``,
+    but the first best action where it is better by more than ``relative`` of the
+    largest Q.
+    """
+    q = back_up_pairs(mdp, values)
+    best = q.max(axis=1)
+    allowed = relative * _system.largest_magnitude(q)
+    first = (q >= (best - allowed)[:, None]).argmax(axis=1)
+    own = q[np.arange(len(q)), actions]
+    return first, np.where(best > own + allowed, first, actions)
 
 
 @njit(cache=True)
@@ -236,29 +261,3 @@ def iterate_modified(model, relative, n_turns):
         if turn % 4 == 0:
             allowed = 0.5 * (high - low)
     return actions, values + shift
-
-
-@njit(cache=True)
-def find_better_actions(model, values, actions, relative):
-    """Find each state's first best action up to rounding, and the actions that improve.
-
-    Q = r + gamma P V for the values of ``actions``. The second result has ``actions``,
-    but the first best action where it is better by more than ``relative`` of the
-    largest Q.
-    """
-    n_states, n_actions = model[1].shape
-    q = np.empty((n_states, n_actions))
-    largest = 0.0
-    for state in range(n_states):
-        for action in range(n_actions):
-            q[state, action] = action_value(model, values, state, action)
-            largest = max(largest, abs(q[state, action]))
-    first = np.zeros(n_states, dtype=np.int64)
-    better = actions.copy()
-    for state in range(n_states):
-        best = q[state].max()
-        while q[state, first[state]] < best - relative * largest:
-            first[state] += 1
-        if best > q[state, actions[state]] + relative * largest:
-            better[state] = first[state]
-    return first, better

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from oee_tabular._sparse import repeat_rows, row_of_entry
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exceptions import DivergentKernelError
 from oee_tabular.typing import Array, BoolArray
@@ -37,13 +38,12 @@ def reached_states(
     Without ``starts`` (S,) the start is where episodes of the model begin.
     """
     matrix = model.csr
-    lengths = np.diff(matrix.indptr)
-    is_taken = np.repeat(policy.reshape(-1) > 0.0, lengths)
+    is_taken = repeat_rows(matrix, policy.reshape(-1) > 0.0)
     if not on_support:
         is_taken &= matrix.data > 0.0
     size = model.n_states
     first = np.flatnonzero(model.initial > 0.0 if starts is None else starts)
-    tail = np.repeat(np.arange(len(lengths)) // model.n_actions, lengths)[is_taken]
+    tail = row_of_entry(matrix)[is_taken] // model.n_actions
     # a node of its own leads to every start
     tail = np.append(tail, np.full(len(first), size))
     head = np.append(matrix.indices[is_taken], first)

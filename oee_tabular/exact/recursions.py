@@ -1,11 +1,14 @@
 """Mean and variance of weighted sums along a walk.
 
 The sums are weighted per decision or over the whole trajectory, with a horizon or for
-ever, and may be self-normalised. They go backward in time with the law of total
-variance, so that nothing cancels (``_moments``): X = p L + q R with the pair (L, R) of
-the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds
-given the path before it, E[(p_t, q_t) C_t (p_t, q_t)^T], where (p_t, q_t) = (p, q) A_0
-... A_{t-1} and C_t is the step's own covariance.
+ever, and may be self-normalised. Moments go backward in time by the law of total
+variance, so that nothing cancels. ``_moments`` carries a pair (L, R), there (L, X): R
+is the weighted sum, and L the product of the weights, or 1 per decision. Each X here is
+p L + q R with numbers p and q: p = 0 and q = 1 but for self-normalised sums.
+
+Its variance is Var X_0(s_0) plus what each step adds given the path before it, E[(p_t,
+q_t) C_t (p_t, q_t)^T], where (p_t, q_t) = (p, q) A_0 ... A_{t-1}, A_t is the matrix of
+``_moments`` and C_t = Cov(A_t m_{t+1} | s_t) the step's own covariance.
 """
 
 from __future__ import annotations
@@ -23,17 +26,17 @@ from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.values import solve_policy_system
 from oee_tabular.exact.walks import Walk, radius_of
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError, NumericalWarning
-from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
+from oee_tabular.mdp import SHORT_HORIZON, limit_horizon
 from oee_tabular.typing import Array
 
 
 @checked(shapes={"by_step": "t", "by_state": "S"})
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean and variance of one episode's X.
+    """Hold the mean and the variance of one episode's X.
 
-    For a self-normalised estimator, what n episodes have to first order. Overflow gives
-    inf or nan, with a warning.
+    Of a self-normalised estimator they are limits for n episodes. Overflow gives inf or
+    nan, with a warning.
 
     Attributes
     ----------

@@ -8,7 +8,7 @@ r(s, a, s') also zeta_{t+1}.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -17,16 +17,14 @@ from oee_tabular._checks import freeze
 from oee_tabular._results import checked
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import CsrArrays, name_transition
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp import NAMELESS, CsrArrays, FiniteMDP, Names, name_transition
 from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 
 
 @checked()
 @dataclass(frozen=True, eq=False)
 class ReweightedModel:
-    """The model K_zeta = zeta P with the simulator's rewards, made by ``reweight``.
+    """Hold the model K_zeta = zeta P with the simulator's rewards (``reweight``).
 
     Attributes
     ----------
@@ -90,7 +88,7 @@ class HasValues(Protocol):
 
     @property
     def values(self) -> Any:
-        """Return the values."""
+        """Return the matrix of values."""
 
 
 if TYPE_CHECKING:
@@ -151,11 +149,10 @@ def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
     The ratio is csr of shape (S*A, S) or an object with such ``values``; ``name`` is
     what errors call it.
     """
-    # ``ratio_on`` reads only what these arrays have of a matrix
-    zeta = ratio_on(cast("Csr", mdp.csr), ratio, name)
+    zeta = ratio_on(mdp.csr, ratio, name)
     if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
         bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])
-        where = name_transition(mdp.transitions, bad, mdp.n_actions, mdp.names)
+        where = name_transition(mdp.csr, bad, mdp.n_actions, mdp.names)
         raise ArgumentError(
             name, f"must be finite and nonnegative; at {where} it is {zeta[bad]}"
         )

@@ -16,13 +16,17 @@ from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact import _system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
-from oee_tabular.mdp.arrays import CsrArrays
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp import NAMELESS, CsrArrays, Names
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # entries of a state in the envelope, on average, up to which LU in it is tried
 # (solvers/direct.py says where that was measured)
 MAX_ENVELOPE_WIDTH = 48.0
+
+# the smallest positive float: what the rounding of a subnormal number may add
+SMALLEST_FLOAT = 5e-324
+
+N_POWER_STEPS = 2000  # of the power method
 
 # x = solve(b, relative): the residual of x is below ``relative`` times the residual of
 # 0 (direct solvers need not read it); None where the solver gives up
@@ -30,7 +34,7 @@ Solve: TypeAlias = Callable[[Array, float], Array | None]
 
 
 class KernelRows(NamedTuple):
-    """A CSR matrix as kernels read it, in read-only arrays.
+    """Hold a csr matrix as compiled loops read it, in read-only arrays.
 
     Indices have 32 bits and are unsigned, because signed ones cost twice the time.
     """
@@ -41,7 +45,7 @@ class KernelRows(NamedTuple):
 
 
 class Kernel(NamedTuple):
-    """The rows of K in CSR form, and the discount gamma."""
+    """Hold the rows of K as ``KernelRows`` has them, and the discount gamma."""
 
     indptr: Any
     indices: Any
@@ -94,7 +98,7 @@ NO_ROWS = KernelRows(
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The linear system of M = I - gamma K, or of its transpose.
+    """Hold the linear system of M = I - gamma K, or of its transpose.
 
     Attributes
     ----------
@@ -279,11 +283,12 @@ def exponent(numbers: Array) -> int:
 def spectral_radius(kernel: Csr, discount: float = 1.0) -> float:
     """Compute the spectral radius of discount * K, K >= 0, by the power method.
 
-    It is a mean over 1000 steps.
+    It is exp of the mean growth, log |K x|_inf / |x|_inf, over the last half of the
+    steps.
     """
     vector = np.ones(kernel.shape[0])
     growth = []
-    for _ in range(2000):
+    for _ in range(N_POWER_STEPS):
         vector = discount * np.asarray(kernel @ vector)
         size = float(vector.max(initial=0.0))
         if size == 0.0:
@@ -291,4 +296,4 @@ def spectral_radius(kernel: Csr, discount: float = 1.0) -> float:
         vector /= size
         growth.append(np.log(size))
     # kernels may be periodic: the mean growth, not the last
-    return float(np.exp(np.mean(growth[1000:])))
+    return float(np.exp(np.mean(growth[N_POWER_STEPS // 2 :])))

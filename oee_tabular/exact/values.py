@@ -5,8 +5,7 @@ sum. ``normalized=True`` multiplies by (1 - discount), for both kinds of horizon
 
 Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the
 error, ``|x - x*|_inf <= |M^-1|_inf |residual|_inf``, rounding included. ``solvers``
-says
-which solver is used, and where the norm of the inverse comes from.
+says which solver is used, and where the norm of the inverse comes from.
 """
 
 from __future__ import annotations
@@ -22,9 +21,11 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, backward, finite, solvers
+from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.reach import solve_where_reached
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
+    SMALLEST_FLOAT,
     Kernel,
     System,
     drop_states,
@@ -34,8 +35,7 @@ from oee_tabular.exact.system import (
     rows_of,
 )
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
-from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
+from oee_tabular.mdp import check_policy, horizon_length, optional_horizon_length
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -49,7 +49,7 @@ from oee_tabular.typing import (
 @checked()
 @dataclass(frozen=True)
 class LinearSolution:
-    """A solution of ``solve_policy_system`` with a bound on its error.
+    """Hold a solution of ``solve_policy_system`` with a bound on its error.
 
     Attributes
     ----------
@@ -57,8 +57,7 @@ class LinearSolution:
         The solution.
     error_bound : float
         A bound on the largest error ``|x - x*|_inf``, rounding included. For a
-        transposed
-        system it bounds the sum of the errors, ``|x - x*|_1``.
+        transposed system it bounds the sum of the errors, ``|x - x*|_1``.
     method : str
         The solver: "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse
         LU".
@@ -162,7 +161,7 @@ def solve(
         x = np.ldexp(solution.x, shift)
         bound = float(np.ldexp(norm * solution.bound, shift))
     # subnormal numbers are rounded once more
-    bound += norm * rounding + len(x) * 5e-324
+    bound += norm * rounding + len(x) * SMALLEST_FLOAT
     return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 
 
@@ -190,12 +189,9 @@ def _check_kernel(kernel: Any) -> Csr:
     return rows
 
 
-EPS = float(np.finfo(float).eps)  # the relative spacing of floats at 1
-
-
 @dataclass(frozen=True)
 class PolicyValues:
-    """Values of a policy, V and J, with a bound on the error of V.
+    """Hold the values of a policy, V and J, with a bound on the error of V.
 
     Attributes
     ----------
@@ -219,7 +215,7 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """Compute r_pi(s) = sum_a policy[s, a] r(s, a), of shape (S,)."""
-    return _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
+    return _system.average_rewards(policy, model.rewards)[0]
 
 
 def largest_reward(model: Model) -> float:
@@ -278,8 +274,8 @@ def evaluate_policy(
     its roundings, some n T spacings of the largest V_t, n the entries of a row. Costs
     O(T nnz) with a horizon, one sparse solve without. Only what the policy reaches from
     the start matters to J: if the infinite sum diverges in a state that it never
-    reaches, ``values`` is nan in all states that it never reaches. Values beyond the largest float are infinite, and
-    so is the error bound then.
+    reaches, ``values`` is nan in all states that it never reaches. Values beyond the
+    largest float are infinite, and so is the error bound then.
 
     Examples
     --------
@@ -313,9 +309,7 @@ def infinite_values(
     ``near`` (S,) is an approximation of V to begin with. A DivergentKernelError is
     raised where the sum diverges in any state.
     """
-    rewards, largest = _system.average_rewards(
-        np.ascontiguousarray(policy), model.rewards
-    )
+    rewards, largest = _system.average_rewards(policy, model.rewards)
     system = policy_system(model, policy)
     if model.discount == 1.0:
         recurrent = recurrent_states(system, rewards, model.names)
@@ -323,7 +317,7 @@ def infinite_values(
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
         system = drop_states(system, recurrent)
     # a reward is a sum of A products, each rounded, and may be subnormal
-    rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
+    rounding = (model.n_actions + 1) * (_system.EPS * largest + SMALLEST_FLOAT)
     solution = solve(system, rewards, rounding=rounding, near=near)
     return PolicyValues(
         solution.x,
@@ -555,7 +549,7 @@ def action_values(
     require_model(mdp)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
-        return backward.back_up(mdp, state_values(mdp, policy))
+        return back_up_pairs(mdp, state_values(mdp, policy))
     pi = check_policy(policy, mdp, horizon=steps)
     values = backward.last_values(mdp, pi, steps - 1)
-    return np.asarray(warn_if_not_finite(backward.back_up(mdp, values)))
+    return np.asarray(warn_if_not_finite(back_up_pairs(mdp, values)))

@@ -9,16 +9,19 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._parallel import one_thread
+from oee_tabular._sparse import repeat_rows
 from oee_tabular.exact import _moments
 from oee_tabular.exact.reweighted import RatioLike, entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp import FiniteMDP, check_policy, limit_horizon
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
+
+# states up to which eigenvalues are computed, exactly but for rounding, in O(S^3)
+MAX_EIGENVALUE_STATES = 400
 
 
 class Walk(NamedTuple):
-    """How paths are drawn, weighted and rewarded, in arrays for kernels.
+    """Hold how paths are drawn, weighted and rewarded, in arrays for compiled loops.
 
     Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the
     weight by u(s, a) and w(s, a, s').
@@ -82,7 +85,7 @@ class Walk(NamedTuple):
         return sparse.csr_array((data, (states, self.indices)), shape=(n, n))
 
     def weighted_kernel(self, power: int) -> Csr:
-        """Compute sum_a act u^power sum P w^power as csr (S, S)."""
+        """Compute sum_a act(a | s) u(s, a)^p P w^p, p = ``power``, as csr (S, S)."""
         rows = self.rows
         return self.state_matrix(
             self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power
@@ -158,9 +161,9 @@ def walk_of(
 
 def transition_factors(mdp: FiniteMDP, ratio: RatioLike, absorbing: BoolArray) -> Array:
     """Return zeta on the transitions (nnz,), and 1 in absorbing states."""
-    entries = np.diff(mdp.csr.indptr[:: mdp.n_actions])
     zeta = entries_of_ratio(mdp, ratio, "zeta")
-    return np.where(np.repeat(absorbing, entries), 1.0, zeta)
+    has_ended = repeat_rows(mdp.csr, np.repeat(absorbing, mdp.n_actions))
+    return np.where(has_ended, 1.0, zeta)
 
 
 def weight_moments(
@@ -228,11 +231,10 @@ def weight_moments(
 
 
 def radius_of(matrix: Csr) -> float:
-    """Compute the spectral radius, by the eigenvalues where there are few."""
+    """Compute the spectral radius, by all eigenvalues where there are few states."""
     if not np.isfinite(matrix.data).all():
         return np.inf  # the kernel has squares beyond the largest float
-    # eigenvalues are exact to rounding, but cost O(S^3)
-    if matrix.shape[0] <= 400:
+    if matrix.shape[0] <= MAX_EIGENVALUE_STATES:
         return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
     return spectral_radius(matrix)
 

@@ -44,7 +44,7 @@ from oee_tabular.exact import occupancy, policy_value, state_values, transition_
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.profile_ascent import PolicyRows, value_of_rows
-from oee_tabular.mdp.horizons import horizon_length, total_discount
+from oee_tabular.mdp import horizon_length, total_discount
 from oee_tabular.typing import Array, IntArray, Seed
 
 MIN_EPISODES = 10  # that a bootstrap of episodes resamples

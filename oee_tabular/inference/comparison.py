@@ -16,8 +16,7 @@ from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked, conform
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.off_environment import estimate_with_rows
-from oee_tabular.exact import policy_value
-from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact import policy_value, time_in_pairs
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.asymptotic import (
     bootstrap_values,
@@ -26,9 +25,7 @@ from oee_tabular.inference.asymptotic import (
 )
 from oee_tabular.inference.evidence import Evidence, gather, require_squares
 from oee_tabular.inference.intervals import Interval
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.policies import check_policies
-from oee_tabular.plots import plot_intervals
+from oee_tabular.mdp import FiniteMDP, check_policies
 from oee_tabular.typing import Array, PoliciesLike, RealArrayLike, Seed
 
 if TYPE_CHECKING:
@@ -362,6 +359,8 @@ class Comparison:
         matplotlib Axes
             The axes with the picture.
         """
+        from oee_tabular.plots import plot_intervals  # a room above, on use
+
         ends = self.differences[1:, 0], self.lower[1:, 0], self.upper[1:, 0]
         names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
         best = self.decide().best

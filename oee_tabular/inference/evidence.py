@@ -12,11 +12,8 @@ from scipy.sparse import csgraph
 from oee_tabular import _checks
 from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import ReweightedModel, occupancy
-from oee_tabular.exact.reweighted import with_rows
-from oee_tabular.exact.values import largest_reward
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.exact import ReweightedModel, largest_reward, occupancy, with_rows
+from oee_tabular.mdp import FiniteMDP, Rows, check_policy
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
 # values may be 1e14 times as large at usual discounts, and their squares must be floats

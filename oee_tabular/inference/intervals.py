@@ -47,7 +47,6 @@ from oee_tabular.inference.shared_parameters import (
     shared_ends,
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.plots import plot_intervals
 from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 if TYPE_CHECKING:
@@ -171,6 +170,8 @@ class Interval:
         matplotlib Axes
             The axes with the picture.
         """
+        from oee_tabular.plots import plot_intervals  # a room above, on use
+
         return plot_intervals(
             ["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self)
         )

@@ -43,8 +43,7 @@ from scipy.linalg import lapack
 from scipy.special import gammaincinv
 
 from oee_tabular._progress import Watch
-from oee_tabular.exact import policy_value, solvers
-from oee_tabular.exact.system import Kernel, System, as_readonly
+from oee_tabular.exact import Kernel, System, as_readonly, policy_value, solvers
 from oee_tabular.inference._likelihood import (
     ROUNDING,
     fill_best_rows,
@@ -53,7 +52,7 @@ from oee_tabular.inference._likelihood import (
 )
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.robust import order_by_row
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import optional_horizon_length
 from oee_tabular.typing import (
     Array,
     BoolArray,

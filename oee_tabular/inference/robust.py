@@ -43,12 +43,16 @@ from scipy import special
 from oee_tabular import _checks
 from oee_tabular._compiling import njit
 from oee_tabular._parallel import dot
-from oee_tabular.exact.reach import reached_states
-from oee_tabular.exact.system import policy_system, recurrent_states
-from oee_tabular.exact.values import largest_reward, values_or_zeros
+from oee_tabular.exact import (
+    largest_reward,
+    policy_system,
+    reached_states,
+    recurrent_states,
+    values_or_zeros,
+)
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import optional_horizon_length
 from oee_tabular.typing import Array, IntArray
 
 RadiusKind: TypeAlias = Literal["independent", "anytime"]

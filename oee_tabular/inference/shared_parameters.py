@@ -26,11 +26,9 @@ from scipy.optimize import brentq
 from scipy.special import gammaincinv
 
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.exact.reweighted import with_rows
+from oee_tabular.exact import policy_value, transition_gradient, with_rows
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio.features import feature_array
 from oee_tabular.ratio.prior._ridge import sum_columns
 from oee_tabular.ratio.prior.directions import Directions, own_directions

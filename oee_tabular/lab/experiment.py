@@ -21,8 +21,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _checks, _files
-from oee_tabular.plots import plot_curves
-from oee_tabular.plots.style import INK, draw_or_warn, own_style
+from oee_tabular.plots import INK, draw_or_warn, own_style, plot_curves
 
 Scalar = float | int | str | bool
 Cell = Mapping[str, Any]  # name -> Scalar

@@ -34,16 +34,56 @@ are alike.
 - ``naming``: names of states and actions, and their numbers
 - ``gymnasium_table``: outcomes of actions as the arrays of an MDP; the P of a toy-text
   environment
-- ``empirical``: n(s, a, s') / n(s, a) of a log or an environment, how many samples
-  there are of each pair, and the variance of mean rewards; ``Explorer`` steps to pairs
-  with few samples
+- ``logs``: what an MDP reads of a log
+- ``empirical``: n(s, a, s') / n(s, a) of a log or of samples, how many there are of
+  each pair, and the variance of mean rewards (``tasks.exploring`` draws samples of an
+  environment)
+- ``environments``: what a Gymnasium environment is, and the numbers that it gives
 - ``rows``: sums, means and exponential tilts over the rows of P; displacements
 - ``files``: the arrays of an npz file
 - ``horizons``: how many steps of a horizon a discount leaves visible
 """
 
+from oee_tabular.mdp.arrays import CsrArrays as CsrArrays
+from oee_tabular.mdp.arrays import check_layout as check_layout
+from oee_tabular.mdp.arrays import csr_from_entries as csr_from_entries
+from oee_tabular.mdp.arrays import name_transition as name_transition
+from oee_tabular.mdp.environments import require_environment as require_environment
+from oee_tabular.mdp.finite_mdp import KIND as KIND
 from oee_tabular.mdp.finite_mdp import FiniteMDP
+from oee_tabular.mdp.horizons import SHORT_HORIZON as SHORT_HORIZON
+from oee_tabular.mdp.horizons import horizon_length as horizon_length
+from oee_tabular.mdp.horizons import limit_horizon as limit_horizon
+from oee_tabular.mdp.horizons import optional_horizon_length as optional_horizon_length
+from oee_tabular.mdp.horizons import total_discount as total_discount
+from oee_tabular.mdp.naming import NAMELESS as NAMELESS
+from oee_tabular.mdp.naming import Name as Name
+from oee_tabular.mdp.naming import Names as Names
+from oee_tabular.mdp.naming import NamesLike as NamesLike
+from oee_tabular.mdp.naming import check_names as check_names
+from oee_tabular.mdp.naming import from_text as from_text
+from oee_tabular.mdp.naming import is_name as is_name
+from oee_tabular.mdp.naming import is_number_text as is_number_text
+from oee_tabular.mdp.naming import name_text as name_text
+from oee_tabular.mdp.naming import normalize as normalize
+from oee_tabular.mdp.naming import number_of as number_of
+from oee_tabular.mdp.naming import numbers_of as numbers_of
+from oee_tabular.mdp.naming import renumber as renumber
+from oee_tabular.mdp.naming import suggest_name as suggest_name
+from oee_tabular.mdp.naming import to_plain as to_plain
+from oee_tabular.mdp.naming import to_text as to_text
+from oee_tabular.mdp.policies import check_policies as check_policies
 from oee_tabular.mdp.policies import check_policy, mix, uniform_policy
+from oee_tabular.mdp.policies import deterministic_policy as deterministic_policy
+from oee_tabular.mdp.policies import read_policy_array as read_policy_array
+from oee_tabular.mdp.policies import shape_of as shape_of
+from oee_tabular.mdp.policies import split_policies as split_policies
+from oee_tabular.mdp.rows import BLOCK as BLOCK
+from oee_tabular.mdp.rows import DIGITS as DIGITS
+from oee_tabular.mdp.rows import Rows as Rows
 from oee_tabular.mdp.rows import displacements
+from oee_tabular.mdp.rows import distinct_rows as distinct_rows
+from oee_tabular.mdp.rows import round_displacements as round_displacements
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = ["FiniteMDP", "check_policy", "displacements", "mix", "uniform_policy"]

@@ -24,6 +24,7 @@ from oee_tabular._sparse import (
     csr_on_pattern,
     entries_of,
     is_matrix_list,
+    repeat_rows,
     row_of_entry,
     row_sums,
     stack_actions,
@@ -163,7 +164,7 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
     sums = row_sums(matrix)
     scale = _checks.scale_sums(sums, transitions)
     if (scale != 1.0).any():
-        matrix = csr_on_pattern(matrix, matrix.data / scale[row_of_entry(matrix)])
+        matrix = csr_on_pattern(matrix, matrix.data / repeat_rows(matrix, scale))
         sums = row_sums(matrix)
     _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions")
     return CsrArrays.from_matrix(matrix)

@@ -5,6 +5,7 @@ Its transitions are sparse rows s*A + a.
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Mapping
 from functools import cached_property, partial
@@ -25,9 +26,10 @@ from oee_tabular.mdp.arrays import (
     check_transitions,
     name_transition,
 )
-from oee_tabular.mdp.empirical import Sampling, env_arguments, log_arguments
+from oee_tabular.mdp.empirical import Sampling, frequency_arguments, log_arguments
 from oee_tabular.mdp.files import constructor_arguments, file_arrays
 from oee_tabular.mdp.gymnasium_table import read_table
+from oee_tabular.mdp.logs import LogLike
 from oee_tabular.mdp.naming import (
     Name,
     Names,
@@ -50,8 +52,6 @@ from oee_tabular.typing import (
 
 if TYPE_CHECKING:
     from gymnasium import Env
-
-    from oee_tabular.data import Transitions
 
 KIND = "finite_mdp"
 
@@ -124,14 +124,16 @@ class FiniteMDP:
         The probabilities P(s' | s, a), without explicit zeros. scipy's matrix is made
         when it is first asked for.
     csr : CsrArrays
-        The arrays of ``transitions`` (indptr, indices, data, shape).
+        The arrays of ``transitions`` (indptr, indices, data, shape), which compiled
+        loops read: the same memory, without scipy's matrix.
     rewards : ndarray of shape (S, A)
         The expected rewards r(s, a).
     transition_rewards : csr_array of shape (S*A, S), or None
         The rewards r(s, a, s'), with an entry wherever they are defined.
     reward_data : ndarray of shape (nnz,), or None
         The rewards r(s, a, s') on the nnz positive entries of ``transitions``, aligned
-        with ``transitions.data``; None if rewards are r(s, a).
+        with ``transitions.data``; None if rewards are r(s, a). Where
+        ``transition_rewards`` has no other entries, it is the same memory.
     initial : ndarray of shape (S,)
         The distribution of the first state.
     discount : float
@@ -486,7 +488,7 @@ class FiniteMDP:
         """
         return self._replace(**add_action_noise(self, epsilon))
 
-    def with_support_of(self, log: Transitions | SparseLike, epsilon: float) -> Self:
+    def with_support_of(self, log: LogLike | SparseLike, epsilon: float) -> Self:
         """Return the same MDP with a log's impossible transitions made possible.
 
         Parameters
@@ -630,7 +632,7 @@ class FiniteMDP:
     @suggest_keywords
     def from_log(
         cls,
-        log: Transitions,
+        log: LogLike,
         rewards: RealArrayLike | MatrixLike | None = None,
         *,
         discount: float = 0.99,
@@ -773,7 +775,7 @@ class FiniteMDP:
         Notes
         -----
         Episodes go to the nearest state-action pair with too few samples, by value
-        iteration on the transitions so far (``mdp.empirical``), until every action of
+        iteration on the transitions so far (``tasks.exploring``), until every action of
         every state reached has been taken ``samples_per_pair`` times; an episode that
         cannot lead there is ended by ``env.reset``. Observations that are not Discrete
         (tuples, integer arrays, texts) become the states' names. States that no episode
@@ -791,10 +793,13 @@ class FiniteMDP:
         """
         gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
         names = (state_names, action_names)
-        return cls(
-            **env_arguments(env, samples_per_pair, seed, max_steps, names),
-            discount=gamma,
+        # by name and on use, because what steps an environment is an agent, in a room
+        # above this one
+        exploring = importlib.import_module("oee_tabular.tasks.exploring")
+        samples = exploring.explore_environment(
+            env, samples_per_pair, seed, max_steps, names
         )
+        return cls(**frequency_arguments(samples), discount=gamma)
 
     def _arguments(self) -> dict[str, Any]:
         """Return the constructor's arguments that make this MDP."""

@@ -18,14 +18,14 @@ from oee_tabular import _checks
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, grid_coordinates
-from oee_tabular.mdp.naming import Name, check_names, coordinates
-from oee_tabular.mdp.stepping import (
+from oee_tabular.mdp.environments import (
     is_discrete,
     read_flag,
     read_integer,
     read_number,
     require_environment,
 )
+from oee_tabular.mdp.naming import Name, check_names, coordinates
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # Wrappers of Gymnasium that change neither actions nor observations nor rewards. A time
@@ -192,7 +192,7 @@ def _places(
 def _add_twin_names(
     names: tuple[Name, ...] | None, twins: IntArray
 ) -> tuple[Name, ...] | None:
-    """Return the names of states with those of their twins, which are over."""
+    """Return the names of states, then those of their twins, "hall (over)"."""
     if names is None:
         return None
     added: list[Name] = []

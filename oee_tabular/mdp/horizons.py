@@ -12,9 +12,11 @@ from oee_tabular.mdp.policies import count_dimensions
 from oee_tabular.typing import PolicyLike
 
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
+LONG_HORIZON = 10**6  # rewards; a longer one is refused where it takes a minute or more
 # The share of a reward that counts as nothing. It is far below rounding, so that late
 # and unlikely rewards are not lost either.
-LEAST_WEIGHT = 2.0**-200
+NEGLIGIBLE_SHARE = 2.0**-200
+MULTIPLY_ADDS_PER_SECOND = 1e9  # roughly; it is used for warnings and errors alone
 SLOW_MULTIPLY_ADDS = 2e9  # some seconds
 MAX_MULTIPLY_ADDS = 2e10  # a minute or more
 
@@ -24,13 +26,33 @@ def limit_horizon(
 ) -> int:
     """Shorten a horizon to the steps that the discount leaves visible.
 
-    Returns min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warns where
-    that is less or takes long. ``rate``: what a step multiplies the weight of all later
-    rewards by, at most; from 1 on nothing fades. ``ahead``: the steps before a reward
-    may come at all (the number of states). ``work``, ``kept``: the multiply-adds of a
-    step, and the numbers that are kept of it; ValueError above a million steps that
-    cost more than 2e10 multiply-adds, or where memory lacks.
+    Parameters
+    ----------
+    horizon : int
+        The number of rewards.
+    rate : float
+        The most that a step multiplies the weight of all later rewards by; from 1 on
+        nothing fades.
+    ahead : int
+        The steps before a reward may come at all: the number of states.
+    work : float
+        The multiply-adds of a step.
+    kept : float
+        The numbers that are kept of a step.
 
+    Returns
+    -------
+    int
+        min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200. A warning says where
+        that is less than the horizon, or takes long.
+
+    Raises
+    ------
+    ArgumentError
+        If more than a million steps cost more than 2e10 multiply-adds, or memory lacks.
+
+    Examples
+    --------
     >>> limit_horizon(500, 0.9), limit_horizon(5000, 1.0, work=100.0)
     (500, 5000)
     """
@@ -38,15 +60,15 @@ def limit_horizon(
         return horizon
     fading = 1.0 if rate <= 0.0 else math.inf
     if 0.0 < rate < 1.0:
-        fading = math.ceil(math.log(LEAST_WEIGHT) / math.log(rate))
+        fading = math.ceil(math.log(NEGLIGIBLE_SHARE) / math.log(rate))
     length = int(min(horizon, max(SHORT_HORIZON, ahead + fading)))
     cost = length * work
-    if horizon > 10**6 and cost > MAX_MULTIPLY_ADDS:
+    if horizon > LONG_HORIZON and cost > MAX_MULTIPLY_ADDS:
         raise ArgumentError(
             "horizon",
             f"must be one that can be carried out; {horizon} steps take some {cost:.0e}"
-            f" multiply-adds ({cost / 3.6e12:.2g} hours), and nothing ends"
-            " them earlier",
+            f" multiply-adds ({cost / MULTIPLY_ADDS_PER_SECOND / 3600.0:.2g} hours),"
+            " and nothing ends them earlier",
         )
     _checks.require_memory(length * kept, "horizon", horizon)
     if length < horizon:
@@ -59,8 +81,8 @@ def limit_horizon(
         )
     elif cost > SLOW_MULTIPLY_ADDS:
         _checks.warn(
-            f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g}"
-            " seconds)",
+            f"horizon {horizon} takes some {cost:.0e} multiply-adds"
+            f" ({cost / MULTIPLY_ADDS_PER_SECOND:.2g} seconds)",
             CostWarning,
         )
     return length
@@ -97,9 +119,20 @@ def optional_horizon_length(
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
-    """Return sum_t discount^t over the horizon."""
+    """Compute sum_t discount^t over the horizon.
+
+    It is (1 - discount^T) / (1 - discount), without the digits that the first difference
+    loses near discount 1.
+
+    >>> total_discount(0.5, 3), total_discount(1.0 - 1e-14, 3)
+    (1.75, 2.9999999999999702)
+    """
     if horizon is None:
         return 1.0 / (1.0 - discount)
     if discount == 1.0:
         return float(horizon)
-    return (1.0 - discount**horizon) / (1.0 - discount)
+    rest = 1.0 - discount
+    if discount < 0.5:
+        return (1.0 - discount**horizon) / rest
+    # from 1/2 on the rest is exact, and near 1 it has digits that discount^T lacks
+    return -math.expm1(horizon * math.log1p(-rest)) / rest

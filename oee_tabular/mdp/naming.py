@@ -48,6 +48,11 @@ class Names:
         """Describe a state-action pair, ``s=hall, a=left``."""
         return f"s={self.state(state)}, a={self.action(action)}"
 
+    def first_pairs(self, pairs: Any) -> str:
+        """Describe the first three of (n, 2) state-action pairs; dots stand for more."""
+        shown = "; ".join(self.pair(*pair) for pair in pairs[:3])
+        return f"{shown}; ..." if len(pairs) > 3 else shown
+
     def transition(self, state: object, action: object, next_state: object) -> str:
         """Describe a transition, ``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(next_state)}"
@@ -86,11 +91,9 @@ def check_names(
 ) -> tuple[Name, ...]:
     """Check that ``value`` is ``size`` different names and return them as a tuple.
 
-    ``place_of``: says where the k-th name was found, where ``name[k]`` does not.
-
-
     A name is a text that does not read as a number, or a tuple of texts and numbers.
-    Names are kept in Unicode's composed form (NFC), and no two may look alike.
+    Names are kept in Unicode's composed form (NFC), and no two may look alike. In
+    errors the k-th name is called ``name[k]``, or ``place_of(k)`` where that is given.
 
     >>> check_names(["hall", (0, 1)], "state_names", 2)
     ('hall', (0, 1))
@@ -221,7 +224,7 @@ def is_number_text(text: str) -> bool:
 def coordinates(names: tuple[Name, ...] | None) -> Array | None:
     """Return (S, c) coordinates where all names are tuples of c numbers, else None.
 
-    O(S c).
+    It costs O(S c).
     """
     if not names or not all(map(_is_tuple_of_numbers, names)):
         return None
@@ -237,8 +240,8 @@ def _is_tuple_of_numbers(name: Name) -> bool:
     return isinstance(name, tuple) and all(isinstance(x, int | float) for x in name)
 
 
-# by identity: O(1), where a hash costs O(S)
 MAX_LOOKUPS = 16  # tuples of names whose numbers are kept
+# by the identity of a tuple, which takes O(1); the hash of a tuple takes O(S)
 _LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}
 
 
@@ -384,8 +387,7 @@ def initial_distribution(
 ) -> Any:
     """Return a first state, or a mapping from states to probabilities, as (S,).
 
-    A Series with labels is a mapping.
-    Anything else is returned as it is.
+    A Series with labels is a mapping. Anything else is returned as it is.
     """
     if is_labelled_series(initial):
         if not initial.index.is_unique:

@@ -38,15 +38,15 @@ class Sized(Protocol):
 
     @property
     def n_states(self) -> int:
-        """The number of states."""
+        """Return the number of states."""
 
     @property
     def n_actions(self) -> int:
-        """The number of actions."""
+        """Return the number of actions."""
 
     @property
     def terminal_state(self) -> IntArray:
-        """The state to which a transition leads that terminates on entering a state."""
+        """Return where a transition that terminates on entering each state leads."""
 
 
 @suggest_keywords
@@ -173,11 +173,14 @@ def _refuse_rounded_actions(given: Any, array: Array, name: str) -> None:
 
 
 def _are_distributions(array: Array) -> bool:
-    """Say whether the rows of an array in C's order surely are distributions."""
+    """Say whether the rows of an array in C's order are distributions.
+
+    False is also the answer where rounding decides.
+    """
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
     rows = array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
-    # less by what rounding may do
+    # the tolerance is less by what the rounding of a sum may do
     return bool(is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE))
 
 
@@ -584,7 +587,7 @@ def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
 
 
 def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
-    """Say whether it is a text, or a tuple that is an action's name."""
+    """Say whether an action is given as a text, or as a tuple that is a name."""
     if isinstance(action, tuple):
         return is_name(action) and action in numbers_of(names or ())
     return isinstance(action, str)

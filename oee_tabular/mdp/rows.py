@@ -19,12 +19,12 @@ from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
 from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
 
-# Entries of a block: 16 000 000 of them by blocks take .6 of the time that they take at
-# once, and no memory to speak of.
+# The entries of a block. By blocks, 16 000 000 entries take .6 of the time that they
+# take at once, and little memory.
 BLOCK = 2**18
 # The largest size of (entries, d) values whose sums reduceat computes more quickly than
 # a sparse product. At a size of 6 400 000 it takes 20 times as long.
-SMALL = 5_000
+MAX_REDUCEAT_SIZE = 5_000
 DIGITS = 9  # decimals: displacements that differ by less than 1e-9 are one
 
 
@@ -169,7 +169,7 @@ class Rows:
 
         The mean is sum_x model_x values_x, with ``model`` (entries,).
         """
-        if values.ndim == 1 or values.size <= SMALL:
+        if values.ndim == 1 or values.size <= MAX_REDUCEAT_SIZE:
             weights = model if values.ndim == 1 else model[:, None]
             return self.sums(weights * values)
         parts = model, np.arange(len(model)), self.indptr

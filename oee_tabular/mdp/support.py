@@ -13,16 +13,18 @@ from oee_tabular._sparse import (
     canonical,
     check_csr,
     csr_on_pattern,
+    repeat_rows,
     row_of_entry,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
-from oee_tabular.typing import Array, Csr, IntArray
+from oee_tabular.mdp.logs import LogLike, require_log
+from oee_tabular.typing import Array, Csr, IntArray, SparseLike
 
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
 
-SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
+MIN_PROBABILITY = 1e-300  # of a transition; a smaller one supports no ratio
 
 
 def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
@@ -51,7 +53,9 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
 
 
-def add_support(mdp: FiniteMDP, log: object, epsilon: float) -> dict[str, Any]:
+def add_support(
+    mdp: FiniteMDP, log: LogLike | SparseLike, epsilon: float
+) -> dict[str, Any]:
     """Return the arguments that change where an MDP is to allow the log's transitions.
 
     ``FiniteMDP.with_support_of`` explains them.
@@ -60,7 +64,7 @@ def add_support(mdp: FiniteMDP, log: object, epsilon: float) -> dict[str, Any]:
     rows, columns, reward = _read_transitions(mdp, log)
     matrix = mdp.transitions
     observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
-    is_impossible = align(matrix, observed)[0] < SMALLEST_PROBABILITY
+    is_impossible = align(matrix, observed)[0] < MIN_PROBABILITY
     if not is_impossible.any():
         return {}
     row = row_of_entry(observed)[is_impossible]
@@ -89,7 +93,7 @@ def _added_rewards(
     mdp: FiniteMDP, added: Csr, rows: IntArray, columns: IntArray, reward: Array | None
 ) -> Array:
     """Return the reward of each added transition: the log's mean, or r(s, a)."""
-    value = mdp.rewards.reshape(-1)[row_of_entry(added)]
+    value = repeat_rows(added, mdp.rewards.reshape(-1))
     if reward is None:
         return value
     has_reward = ~np.isnan(reward)  # some may be missing
@@ -131,18 +135,3 @@ def _read_transitions(
     ends[: len(mdp.terminal_state)] = mdp.terminal_state
     to = np.where(log.terminated, ends[log.next_state], log.next_state)
     return log.state * mdp.n_actions + log.action, to, log.reward
-
-
-def require_log(log: object) -> None:
-    """Raise an ArgumentError for what is no log.
-
-    ``data``, which knows the class of logs, stands above this room.
-    """
-    is_class = isinstance(log, type)
-    if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
-        hint = ""
-        if hasattr(log, "columns") and not is_class:
-            hint = " (of a data frame: Transitions.from_frame(log))"
-        raise ArgumentError(
-            "log", f"must be Transitions; got {type(log).__name__}{hint}"
-        )

@@ -21,8 +21,16 @@ from oee_tabular.plots.grids import (
     plot_ratio,
 )
 from oee_tabular.plots.style import COLORS, LINES, MARKERS, figure_png, figure_svg
+from oee_tabular.plots.style import DIVERGING as DIVERGING
+from oee_tabular.plots.style import INK as INK
+from oee_tabular.plots.style import disable_math as disable_math
+from oee_tabular.plots.style import draw_or_warn as draw_or_warn
+from oee_tabular.plots.style import own_style as own_style
+from oee_tabular.plots.style import series as series
+from oee_tabular.plots.style import shorten as shorten
 from oee_tabular.plots.values import plot_intervals, plot_states, plot_values
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
     "COLORS",
     "LINES",

@@ -24,8 +24,8 @@ from oee_tabular.typing import Array, RealArrayLike
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LABEL_SIZE = 8.0  # points, of names at the ends of lines
-SPACE = 1.25  # between two of them, in letters' heights
+LABEL_SIZE_POINTS = 8.0  # of names at the ends of lines
+LABEL_SPACING_HEIGHTS = 1.25  # between two of them, in letters' heights
 
 
 @suggest_keywords
@@ -365,8 +365,8 @@ def label_ends(ax: Axes) -> Axes:
         # squares): what is left of the steps may not fall
         order = np.argsort(heights, kind="stable")
         steps = (
-            SPACE
-            * LABEL_SIZE
+            LABEL_SPACING_HEIGHTS
+            * LABEL_SIZE_POINTS
             * ax.figure.dpi
             / (72.0 * ax.get_window_extent().height)
             * np.arange(len(order))
@@ -374,7 +374,7 @@ def label_ends(ax: Axes) -> Axes:
         heights[order] = isotonic_regression(heights[order] - steps).x + steps
         style: dict[str, Any] = {
             "transform": ax.transAxes,
-            "fontsize": LABEL_SIZE,
+            "fontsize": LABEL_SIZE_POINTS,
             "va": "center",
         }
         for (line, _), height in zip(ends, heights, strict=True):

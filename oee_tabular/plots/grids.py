@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Normalize
 
-# up to which each cell of a map is a shape of its own; beyond, the map is an image
+# cells up to which each is a shape of its own; larger maps are images
 N_VECTOR_CELLS = 1600
 N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
-# share of a map's cells that are states, at least: places that are further apart make
-# no map
-SPARSEST = 0.02
-CLOSE = 1e-6  # of a cell, by which a place may miss its middle
+# The least share of a map's cells that are states: places that are further apart make
+# no map.
+MIN_FILLED_SHARE = 0.02
+PLACE_TOLERANCE_CELLS = 1e-6  # by which a place may miss the middle of its cell
 
 
 @checked(shapes={"cell": "S"})
@@ -198,12 +198,14 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     for place in layout.T:
         distinct = np.unique(place)
         gaps = np.diff(distinct)
-        gaps = gaps[gaps > CLOSE * np.abs(distinct).max()]
+        gaps = gaps[gaps > PLACE_TOLERANCE_CELLS * np.abs(distinct).max()]
         step = float(gaps.min()) if len(gaps) else 1.0
         with np.errstate(over="ignore", invalid="ignore"):
             at = (place - distinct[0]) / step
             number = np.rint(at)
-            is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
+            is_even = (number < len(layout) / MIN_FILLED_SHARE) & (
+                np.abs(at - number) <= PLACE_TOLERANCE_CELLS
+            )
         if not is_even.all():
             return None
         coordinates.append(
@@ -212,10 +214,11 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
         numbers.append(number.astype(np.int64))
     rows, columns = coordinates
     row, column = numbers
-    if len(layout) < SPARSEST * len(rows) * len(columns):
+    if len(layout) < MIN_FILLED_SHARE * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column
-    order = np.argsort(is_over, kind="stable")  # those that can be left come first
+    # of several states in a cell one that can be left is drawn
+    order = np.argsort(is_over, kind="stable")
     is_hidden = np.ones(len(cell), dtype=np.bool_)
     is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
     if (is_hidden & ~is_over).any():
@@ -243,8 +246,7 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     """Find the rows and columns of a gridworld in its transitions.
 
     A gridworld's states are numbered row * columns + column. Its transitions stay, go
-    to
-    the neighbour on the left or right (never around an edge), or to the one above or
+    to the neighbour on the left or right (never around an edge), or to the one above or
     below. A jump back to an initial state (as from CliffWalking's cliff) is allowed.
 
     Parameters

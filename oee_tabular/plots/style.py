@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 Picture = TypeVar("Picture")
 
-# Okabe and Ito's, then grey and brown; marker and line of the same index go with them,
-# so that colour is never alone
+# Okabe and Ito's colours, then grey and brown. A series has the marker and the line of
+# the same index as well, so that nothing is told by colour alone.
 COLORS = (
     "#0072B2",
     "#D55E00",
@@ -47,7 +47,8 @@ LINES: tuple[Any, ...] = (
 )
 SEQUENTIAL = "cividis"
 DIVERGING = "PuOr_r"
-# those that reports show by themselves: each has one of the eight series to itself
+# The estimators that reports show by default. Each has one of the eight series to
+# itself.
 ESTIMATORS = (
     "simulator",
     "oee",
@@ -59,8 +60,8 @@ ESTIMATORS = (
     "oracle-product",
 )
 
-# what an SVG's ink becomes: CSS variables of the page that it stands in, these colours
-# where there are none
+# The colours of an SVG's texts, lines and ground. On a page that has CSS variables for
+# them (``_ON_PAGE``) they become these.
 INK = "#1b1f23"
 QUIET = "#8b9198"
 PAPER = "#fdfdfe"

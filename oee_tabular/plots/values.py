@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLUMNS = {"policy", "estimator", "value", "lower", "upper", "true_value"}
-# widths of a typical interval: what is further from the intervals than that does not
+# what is further from the intervals than so many widths of a typical one does not
 # stretch the axis
-REACH = 15.0
-LETTERS = 11.0  # in an inch of text
+MAX_REACH_WIDTHS = 15.0
+N_LETTERS_PER_INCH = 11.0  # of text
+
+
+class Lines(NamedTuple):
+    """Hold the lines of a forest plot, (k,) each, and the texts of their groups."""
+
+    names: Sequence[str]
+    value: Array
+    lower: Array
+    upper: Array
+    group: Array
+
+    @property
+    def ends(self) -> Array:
+        """Return the lower and the upper end of each line's interval, (k, 2)."""
+        return np.stack([self.lower, self.upper], axis=1)
 
 
 @suggest_keywords
@@ -197,35 +212,18 @@ def plot_intervals(
     >>> [label.get_text() for label in ax.get_yticklabels()]
     ['', 'oee', 'pdis']
     """
-    names = style.check_labels(names, "names", "names, one a line")
-    given = {"values": values, "lower": lower, "upper": upper}
-    plain = {
-        name: _checks.without_known_labels(array, names)
-        for name, array in given.items()
-    }
-    value, low, high = arrays = [
-        _checks.float_array(array, name, ndim=1) for name, array in plain.items()
-    ]
-    called: Sequence[str] = [""] * len(names)
-    if groups is not None:
-        called = style.check_labels(groups, "groups", "names, one a line")
-    group = np.array([*map(shorten, called)], dtype=object)
+    lines = _check_lines(names, values, lower, upper, groups)
     check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
-    sizes = [len(column) for column in (names, *arrays, group)]
-    if len(set(sizes)) > 1:
-        raise ValueError(
-            "names, values, lower, upper and groups must have one length; "
-            f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
-        )
-    if not len(names) or (limits is None and not np.isfinite(arrays).any()):
+    has_numbers = np.isfinite([*lines.value, *lines.ends.flat]).any()
+    if not len(lines.names) or (limits is None and not has_numbers):
         raise ArgumentError(
             "values",
             "must have a finite number, or lower and upper an interval; there is"
             " nothing to draw",
         )
-    exact = _check_truths(truth, group)
+    exact = _check_truths(truth, lines.group)
     if limits is None:
-        span = _span(value, low, high, group, [*exact.values()])
+        span = _span(lines, [*exact.values()])
     else:
         span = style.check_pair(limits, "limits")
     left, right = span
@@ -233,21 +231,21 @@ def plot_intervals(
         raise ArgumentError(
             "limits", f"must be (low, high) with low < high; got {limits}"
         )
-
     # the lines from the top; above each group one for its name and the truth's
+    group = lines.group
     starts: list[int] = []
     if exact or groups is not None:
-        starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]]
-    line = np.arange(len(names))
+        starts = [k for k in range(len(group)) if k == 0 or group[k] != group[k - 1]]
+    line = np.arange(len(group))
     y = line + np.searchsorted(starts, line, side="right")
-    short = np.array([*map(shorten, names)], dtype=object)
+    short = np.array([*map(shorten, lines.names)], dtype=object)
     labels = np.insert(short, starts, group[starts])
     ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
-    for k, series in enumerate(style.places(names)):
+    ends = np.clip(lines.ends, *span)
+    for k, series in enumerate(style.places(lines.names)):
         marks = style.series(series) | {"linestyle": "none"}
-        ends = np.clip([low[k], high[k]], *span)
-        _draw_interval(ax, y[k], value[k], ends, span, marks)
-    for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
+        _draw_interval(ax, y[k], lines.value[k], ends[k], span, marks)
+    for start, end in zip(starts, [*starts[1:], len(group)], strict=False):
         x = exact.get(group[start], math.nan)
         if left <= x <= right:
             heights = (y[start] - 1, y[end - 1])
@@ -256,16 +254,48 @@ def plot_intervals(
     style.label_rows(ax, labels)
     for start in starts:
         ax.get_yticklabels()[y[start] - 1].set_fontweight("bold")
+    _finish_axes(ax, xlabel, title)
+    return ax
+
+
+def _finish_axes(ax: Axes, xlabel: str, title: str) -> None:
+    """Write the texts of a forest plot, and leave its needless lines out."""
     ax.tick_params(axis="y", pad=9)
     ax.spines[["left", "top", "right"]].set_visible(False)
     if ax.get_xscale() == "linear":  # other scales place their own ticks
         ax.locator_params(axis="x", nbins=5)
     ax.grid(axis="x", alpha=0.3)
-    letters = max(20, int(LETTERS * ax.bbox.width / ax.figure.dpi))
+    letters = max(20, int(N_LETTERS_PER_INCH * ax.bbox.width / ax.figure.dpi))
     ax.set_xlabel(textwrap.fill(xlabel, letters))
     if title:
         disable_math([ax.set_title(textwrap.fill(title, letters), fontsize="medium")])
-    return ax
+
+
+def _check_lines(
+    names: Sequence[str],
+    values: RealArrayLike,
+    lower: RealArrayLike,
+    upper: RealArrayLike,
+    groups: Sequence[str] | None,
+) -> Lines:
+    """Check what ``plot_intervals`` gets for each line, and return it as arrays."""
+    names = style.check_labels(names, "names", "names, one a line")
+    given = {"values": values, "lower": lower, "upper": upper}
+    value, low, high = (
+        _checks.float_array(_checks.without_known_labels(array, names), name, ndim=1)
+        for name, array in given.items()
+    )
+    called: Sequence[str] = [""] * len(names)
+    if groups is not None:
+        called = style.check_labels(groups, "groups", "names, one a line")
+    group = np.array([*map(shorten, called)], dtype=object)
+    sizes = [len(column) for column in (names, value, low, high, group)]
+    if len(set(sizes)) > 1:
+        raise ValueError(
+            "names, values, lower, upper and groups must have one length; "
+            f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
+        )
+    return Lines(names, value, low, high, group)
 
 
 def _check_truths(
@@ -342,14 +372,13 @@ def _text_of(value: float) -> str:
     return f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
 
 
-def _span(
-    value: Array, low: Array, high: Array, group: Array, truth: list[float]
-) -> tuple[float, float]:
+def _span(lines: Lines, truth: list[float]) -> tuple[float, float]:
     """Return the ends of an axis that shows truths and typical intervals.
 
     It spans the truths, in each group the narrower half of the intervals, and what is
     near to them.
     """
+    _, value, low, high, group = lines
     with np.errstate(over="ignore", invalid="ignore"):
         width = high - low
     core = [float(x) for x in truth if math.isfinite(x)]
@@ -370,9 +399,8 @@ def _span(
     first = min(core)
     last = max(core)
     scale = 1e-3 * max(map(abs, core))
-    far = max(
-        0.5 * (last - first), REACH * max(float(np.median(widths or [0.0])), scale)
-    )
+    typical = max(float(np.median(widths or [0.0])), scale)
+    far = max(0.5 * (last - first), MAX_REACH_WIDTHS * typical)
     points = np.array([*core, *value, *low, *high])
     points = points[(points >= first - far) & (points <= last + far)]
     margin = max(0.06 * float(points.max() - points.min()), scale) or 0.5

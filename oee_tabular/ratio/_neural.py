@@ -20,7 +20,7 @@ import numpy as np
 import optax
 
 from oee_tabular._progress import progress_bar
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import Rows
 from oee_tabular.typing import Array, IntArray
 
 if TYPE_CHECKING:

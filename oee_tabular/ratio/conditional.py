@@ -19,7 +19,7 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.rows import BLOCK, Rows
+from oee_tabular.mdp import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.features import FeaturesLike, count_rank, feature_array

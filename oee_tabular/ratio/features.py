@@ -30,10 +30,14 @@ from oee_tabular.data.frames import eager, is_frame
 from oee_tabular.data.labels import require_columns
 from oee_tabular.data.rules import MOVE
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import name_transition
-from oee_tabular.mdp.naming import Name, number_of
-from oee_tabular.mdp.rows import Rows, distinct_rows
+from oee_tabular.mdp import (
+    FiniteMDP,
+    Name,
+    Rows,
+    distinct_rows,
+    name_transition,
+    number_of,
+)
 from oee_tabular.typing import Array, BoolArray, FrameLike, IntArray, RealArrayLike
 
 KernelFunction: TypeAlias = Callable[[Array, Array], RealArrayLike]

@@ -18,10 +18,13 @@ from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.mdp.policies import split_policies
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import (
+    FiniteMDP,
+    Rows,
+    check_policy,
+    horizon_length,
+    split_policies,
+)
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
 from oee_tabular.typing import Array, BoolArray, Csr, PolicyLike, Seed, SparseLike

@@ -18,8 +18,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.arrays import check_layout
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import Rows, check_layout
 from oee_tabular.ratio import dual
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import Coordinates, check_box, check_ridge

@@ -21,7 +21,7 @@ from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.simulate.sampler import episodes_holding
+from oee_tabular.simulate import episodes_holding
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
 # The number of steps of the paper's episodes, for logs that do not say how long theirs

@@ -18,10 +18,9 @@ from oee_tabular._sparse import (
     row_of_entry,
     row_sums,
 )
-from oee_tabular.exact.system import exponent
+from oee_tabular.exact import exponent
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio.prior.ridge import Tilt
 from oee_tabular.typing import Array, BoolArray, Csr, RealArrayLike
 

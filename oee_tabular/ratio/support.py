@@ -16,8 +16,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.arrays import name_transition
+from oee_tabular.mdp import FiniteMDP, name_transition
 from oee_tabular.ratio.dual import check_distributions
 from oee_tabular.typing import (
     Array,

@@ -27,8 +27,7 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data.frames import is_frame
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio import dual
 from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.features import keys_in

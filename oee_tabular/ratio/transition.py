@@ -15,8 +15,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio.conditional import Conditional, Prior, RidgeLike
 from oee_tabular.ratio.features import FeaturesLike, KernelLike
 from oee_tabular.ratio.joint import Joint

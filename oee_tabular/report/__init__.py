@@ -6,13 +6,25 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.report.evaluation import contest, evaluate
+from oee_tabular.report.evaluation import contest_showing as contest_showing
+from oee_tabular.report.evaluation import evaluate_showing as evaluate_showing
+from oee_tabular.report.evaluation import group_findings as group_findings
+from oee_tabular.report.evaluation import number_notes as number_notes
+from oee_tabular.report.files import ReportOutput as ReportOutput
 from oee_tabular.report.files import check_output, check_page
+from oee_tabular.report.files import new_page as new_page
+from oee_tabular.report.files import plain as plain
+from oee_tabular.report.files import summary as summary
 from oee_tabular.report.results import Report, Result
+from oee_tabular.report.tables import render_comparison as render_comparison
+from oee_tabular.report.tables import render_intervals as render_intervals
+from oee_tabular.report.uncertainty import Uncertainty as Uncertainty
+from oee_tabular.report.uncertainty import choose_interval as choose_interval
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.simulator import Settings
+    from oee_tabular.continuous import Settings, evaluate_continuous
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
     "Report",
     "Result",

@@ -31,15 +31,19 @@ from oee_tabular.estimators.names import (
 )
 from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.estimators.rewards import reward_effect
-from oee_tabular.exact import Model, action_values, occupancy, policy_value
-from oee_tabular.exact.values import largest_reward
+from oee_tabular.exact import (
+    Model,
+    action_values,
+    largest_reward,
+    occupancy,
+    policy_value,
+)
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.policies import check_policies
+from oee_tabular.mdp import FiniteMDP, check_policies
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
 from oee_tabular.report.uncertainty import (
@@ -299,14 +303,7 @@ def evaluate_showing(
             name: policy_value(target, pi, horizon=problem.horizon)
             for name, pi in named.items()
         }
-    about = {
-        "simulator": repr(simulator),
-        "log": problem.log.describe(),
-        "rewards": problem.rewards,
-    }
-    if known.has_box:
-        about["target"] = str(known)
-    about |= dict({} if facts is None else facts)
+    about = _describe_premises(problem, known) | dict(facts or {})
     started = time.monotonic()
     with _progress.show_steps(only_terminal=True):
         results = _run_estimators(problem, named, chosen | known.estimators, seed)
@@ -351,6 +348,18 @@ def evaluate_showing(
     if seconds is None:
         seconds = max(time.monotonic() - started, MIN_INTERVAL_SECONDS)
     return write("", guaranteed, seconds)
+
+
+def _describe_premises(problem: Problem, known: Premises) -> dict[str, Any]:
+    """Return the facts of a report: simulator, log, rewards and what is known."""
+    about: dict[str, Any] = {
+        "simulator": repr(problem.simulator),
+        "log": problem.log.describe(),
+        "rewards": problem.rewards,
+    }
+    if known.has_box:
+        about["target"] = str(known)
+    return about
 
 
 def _is_large(problem: Problem) -> bool:
@@ -836,7 +845,7 @@ def _write_figures(members: Sequence[Member]) -> str:
 def number_notes(
     results: Iterable[Result], warnings: Sequence[tuple[str, Collection[Pair]]]
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
-    """Number warnings from 1, and list the numbers about each (policy, estimator)."""
+    """Give warnings numbers from 1, and list those about each (policy, estimator)."""
     notes: dict[Pair, tuple[int, ...]] = {}
     for result in results:
         pair = (result.policy, result.estimator)

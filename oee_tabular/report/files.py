@@ -116,7 +116,7 @@ def check_page(path: str | os.PathLike[str]) -> Path:
 
 
 class ReportOutput(_writing.Output):
-    """The folder of a command's report: asked before the work, written after it.
+    """Hold the folder of a command's report: asked before the work, written after it.
 
     Files of the last report are replaced unasked where they still are as it wrote them.
     Files of other names are left alone.

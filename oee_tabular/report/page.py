@@ -27,11 +27,11 @@ from oee_tabular._checks import positive_integer, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact import time_in_pairs
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
-from oee_tabular.mdp.naming import Names
-from oee_tabular.plots.style import draw_or_warn
+from oee_tabular.mdp import Names
+from oee_tabular.plots import draw_or_warn
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.report.files import plain
@@ -243,7 +243,7 @@ def plan_command(report: Report) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """The log and the policies, drawn on the task's map where it has one.
+    """Draw the log and the policies, on the task's map where it has one.
 
     Attributes
     ----------

@@ -18,8 +18,7 @@ from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
-from oee_tabular.plots import figure_png, plot_values
-from oee_tabular.plots.style import draw_or_warn
+from oee_tabular.plots import draw_or_warn, figure_png, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain, write_report
 from oee_tabular.report.text import Answer
@@ -53,7 +52,7 @@ VALUES = {
 @checked()
 @dataclass(frozen=True)
 class Result:
-    """One estimate of one policy.
+    """Hold one estimate of one policy with its name.
 
     Attributes
     ----------
@@ -103,7 +102,7 @@ def first_results(results: Sequence[Result]) -> dict[str, Result]:
 @checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Report:
-    """The result of ``oee.evaluate``: ``print(report)`` begins with the answer.
+    """Hold the result of ``oee.evaluate``; ``print(report)`` begins with the answer.
 
     Values are shown in the report's unit: discounted sums of rewards, multiplied by (1
     - discount) if ``normalized``.

@@ -110,7 +110,7 @@ NEEDS_HORIZON = (
 
 @dataclass(frozen=True)
 class Answer:
-    """What a report says of one policy, in the report's unit.
+    """Hold what a report says of one policy, in the report's unit.
 
     Attributes
     ----------

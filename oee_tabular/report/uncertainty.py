@@ -18,7 +18,7 @@ from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
 from oee_tabular.estimators.off_environment import estimate_with_rows
-from oee_tabular.exact import occupancy, state_values
+from oee_tabular.exact import back_up_transitions, occupancy, state_values
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,
@@ -61,7 +61,7 @@ OWN_LEVEL = 0.95  # the confidence of the intervals that estimators set themselv
 
 
 class BoxOptions(TypedDict):
-    """Bounds on target over simulator probabilities, as keyword arguments."""
+    """Hold bounds on target over simulator probabilities, as keyword arguments."""
 
     lower_ratio: float | None
     upper_ratio: float | None
@@ -69,7 +69,7 @@ class BoxOptions(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Premises:
-    """What the user knows about the target.
+    """Hold what the user knows about the target.
 
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
     which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
@@ -169,7 +169,7 @@ class Premises:
 @checked()
 @dataclass(frozen=True)
 class Uncertainty:
-    """How certain the log makes the values of policies.
+    """Hold how certain the log makes the values of policies.
 
     Attributes
     ----------
@@ -383,9 +383,7 @@ def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
     values = state_values(evidence.with_rows(corrected), policy)
     time = occupancy(problem.model, policy).reshape(-1)
     time = time / (1.0 - problem.simulator.discount)
-    ahead = (
-        evidence.transition_rewards + problem.simulator.discount * values[rows.arrival]
-    )
+    ahead = back_up_transitions(evidence.model, values)
     change = time * rows.sums((corrected - rows.weights) * ahead)
     whole = float(change.sum())
     if not abs(whole) > ERROR_TOLERANCE * max(

@@ -51,6 +51,11 @@ returns takes less than half of what a plain compiled loop needs
 """
 
 from oee_tabular.simulate.returns import SampledReturns, sample_returns
+from oee_tabular.simulate.sampler import Drawn as Drawn
+from oee_tabular.simulate.sampler import draw as draw
+from oee_tabular.simulate.sampler import entry_rewards as entry_rewards
+from oee_tabular.simulate.sampler import episodes_holding as episodes_holding
 from oee_tabular.simulate.sampler import sample_episodes, sample_transitions
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = ["SampledReturns", "sample_episodes", "sample_returns", "sample_transitions"]

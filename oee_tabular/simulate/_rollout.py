@@ -25,13 +25,16 @@ import numpy as np
 from oee_tabular._compiling import njit
 from oee_tabular.typing import Array, IntArray
 
-_WHOLE = 1 << 62
+_WHOLE = 1 << 62  # the probability 1, in units
+# words of 32 bits in numbers of 64
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
+# the multipliers and the key's increments of Philox4x32 [2]
 _M0 = np.uint64(0xD2511F53)
 _M1 = np.uint64(0xCD9E8D57)
 _W0 = np.uint64(0x9E3779B9)
 _W1 = np.uint64(0xBB67AE85)
+# unsigned, because a sum with a signed number would be a float
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 # blocks drawn at once: 7.6 ns a step; with 8 blocks 12.6, with one 14.5
@@ -263,7 +266,12 @@ def step_lanes(
     words,
     here,
 ):
-    """Draw the trajectories begin .. end - 1, so many at a time as ``here`` has lanes."""
+    """Draw the trajectories begin .. end - 1, ``len(here)`` of them side by side.
+
+    In each lane, with a slot drawn by word t + 1 from the table of the state s_t:
+    G += gamma^t r, X += gamma^t W r, W <- W zeta, s_{t+1} = the state that the slot
+    leads to. The other arguments are explained in ``draw_episodes``.
+    """
     weighted = len(factor) > 0
     record = len(path) > 0
     used = 0
@@ -338,9 +346,10 @@ def write_columns(
 ):
     """Write the columns of a log, row by row of its path.
 
-    ``integers`` (5, n) takes state, action, next state, timestep and episode;
-    ``numbers`` (2, n) reward and behaviour probability; ``flags`` (2, n), which begin
-    as zeros, terminated and truncated.
+    The entry x of P is a transition from the state and action of its row to
+    indices[x]. ``integers`` (5, n) takes state, action, next state, timestep and
+    episode; ``numbers`` (2, n) reward and behaviour probability; ``flags`` (2, n),
+    which begin as zeros, terminated and truncated.
     """
     n_actions = policy.shape[1]
     i = 0

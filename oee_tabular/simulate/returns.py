@@ -11,13 +11,12 @@ from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
 from oee_tabular.simulate.sampler import draw, episode_log
 from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 if TYPE_CHECKING:
-    from oee_tabular.exact.reweighted import RatioLike
+    from oee_tabular.exact import RatioLike
 else:
     RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
@@ -32,7 +31,7 @@ Kind: TypeAlias = Literal["per_decision", "trajectory"]
 )
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
-    """Returns and weights of n sampled episodes, the result of ``sample_returns``.
+    """Hold the returns and weights of n sampled episodes (``sample_returns``).
 
     Attributes
     ----------

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._sparse import row_of_entry
+from oee_tabular._sparse import repeat_rows, row_of_entry
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -23,20 +22,22 @@ from oee_tabular.typing import (
 )
 
 if TYPE_CHECKING:
-    from oee_tabular.exact.reweighted import RatioLike
+    from oee_tabular.exact import RatioLike
 else:
     RatioLike: TypeAlias = Any  # for ``typing.get_type_hints``
 
 # streams of random numbers, so that one seed gives three different samples
-LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))
-# shorter runs, of some milliseconds, stay on the calling thread
+LOG_STREAM = np.uint64(0)  # of ``sample_episodes``
+RETURN_STREAM = np.uint64(1)  # of ``sample_returns``
+TRANSITION_STREAM = np.uint64(2)  # of ``sample_transitions``
+# runs of fewer steps, which take some milliseconds, stay on the calling thread
 MIN_THREADED_STEPS = 1 << 20
-MAX_FIRST_PATH_STEPS = 1 << 24  # room for a path at first; it doubles
+MAX_FIRST_PATH_STEPS = 1 << 24  # room for the first path; later ones have twice as much
 N_CHUNK_EPISODES = 1 << 10  # episodes that a thread takes at a time
 
 
 class AliasTable(NamedTuple):
-    """One alias table for all states.
+    """Hold one alias table for all states.
 
     The draw of the first state is one state more, whose outcomes are entries after the
     entries of P.
@@ -67,7 +68,7 @@ class AliasTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Sums along each of n episodes, and the paths of recorded ones.
+    """Hold the sums along each of n episodes, and the paths of recorded ones.
 
     Attributes
     ----------
@@ -141,7 +142,7 @@ def draw(
     whose states are pairs; ``policy`` is then (S*A, 1). ``name`` is what errors call n.
     """
     # not at import: logs do without
-    from oee_tabular.exact.walks import transition_factors
+    from oee_tabular.exact import transition_factors
 
     _checks.require_memory(9.0 * n, name, n)
     if pairs is None:
@@ -269,7 +270,7 @@ def entry_rewards(mdp: FiniteMDP) -> Array:
     """Return the reward of each entry of P: r(s, a, s'), or r(s, a)."""
     if mdp.reward_data is not None:
         return mdp.reward_data
-    return np.asarray(mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)])
+    return repeat_rows(mdp.csr, mdp.rewards.reshape(-1))
 
 
 def sample_episodes(
@@ -416,7 +417,7 @@ def sample_transitions(
         seed=seed,
         record=True,
         pairs=pairs,
-        stream=BAG_STREAM,
+        stream=TRANSITION_STREAM,
         name="n",
     )
     path = drawn.path

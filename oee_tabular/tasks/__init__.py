@@ -15,47 +15,52 @@ from oee_tabular.tasks.gridworld import (
     gridworld_expert,
     gridworld_policy,
 )
+from oee_tabular.tasks.specs import FINITE as FINITE
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 
 if TYPE_CHECKING:  # continuous tasks are imported on use
-    # isort: off
-    from oee_tabular.continuous.cartpole import CartPole, cartpole_policy, train_expert
-    from oee_tabular.continuous.correction import ParameterFit, fit_parameters
-    from oee_tabular.continuous.discretization import (
+    from oee_tabular.continuous import (
+        CartPole,
+        ContinuousSimulator,
+        ContinuousTask,
+        Discretization,
         GridInterpolation,
-        VisitedCells,
-        discretize,
-        visited_states,
-    )
-    from oee_tabular.continuous.discretized import Discretization
-    from oee_tabular.continuous.episodes import (
+        GymnasiumTask,
+        HistoryTask,
+        KinovaArm,
+        KinovaHand,
+        LinearModel,
         MonteCarlo,
-        monte_carlo_value,
-        record,
-        resimulate,
-    )
-    from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
-    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-    from oee_tabular.continuous.history import HistoryTask
-    from oee_tabular.continuous.kinova import KinovaArm, KinovaHand, fit_hand
-    from oee_tabular.continuous.gen3 import (
+        Moves,
+        ParameterFit,
+        Reacher,
+        ResidualSimulator,
+        Settings,
+        StatePolicy,
+        VisitedCells,
+        cartpole_policy,
+        corrected_value,
+        discretize,
+        evaluate_continuous,
+        fit_hand,
+        fit_parameters,
+        gymnasium_simulator,
         hand_log,
         kinova_policy,
         load_kinova_log,
+        monte_carlo_value,
+        reacher_log,
+        reacher_policy,
+        record,
         record_goals,
+        resimulate,
+        train_expert,
+        visited_states,
     )
-    from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
-    from oee_tabular.continuous.regression import LinearModel
-    from oee_tabular.continuous.residual import ResidualSimulator
-    from oee_tabular.continuous.rows import corrected_value
-    from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
-    from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
-
-    # isort: on
 
 
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
     "CartPole",
     "ContinuousSimulator",

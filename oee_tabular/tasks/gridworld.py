@@ -20,13 +20,14 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
-from oee_tabular.mdp.policies import deterministic_policy
+from oee_tabular.mdp import FiniteMDP, deterministic_policy, mix, uniform_policy
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array
 
 DIRECTIONS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])  # of row and column
-BYTES_PER_STATE = 1800.0  # memory while an MDP is made, measured
+LOSS_PER_DISTANCE = 0.2  # the paper's, for each step between a cell and the goal
+N_BYTES_PER_STATE = 1800.0  # memory while an MDP is made, measured
+N_BYTES_PER_POLICY_STATE = 100.0  # memory while a policy is made
 
 
 @suggest_keywords
@@ -74,7 +75,7 @@ def gridworld(
     FiniteMDP(100 states, 4 actions, 1576 transitions, rewards r(s, a, s'), discount 0.99)
     """
     n = _checks.positive_integer(size, "size")
-    _checks.require_memory(BYTES_PER_STATE * n * n, "size", n, size=1)
+    _checks.require_memory(N_BYTES_PER_STATE * n * n, "size", n, size=1)
     if n < 2:
         raise ArgumentError("size", f"must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
@@ -95,7 +96,7 @@ def gridworld(
         (weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n)
     )
     initial = np.eye(1, n * n)[0]
-    cell_rewards = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
+    cell_rewards = LOSS_PER_DISTANCE * (cells.sum(axis=1) - (2 * n - 2))
     if pay == "current":
         return FiniteMDP(transitions, cell_rewards, initial, discount, layout=cells)
     transitions.sum_duplicates()
@@ -130,7 +131,7 @@ def gridworld_expert(size: int) -> Array:
     [0, 0, 0, 0, 0, 0, 2, 2, 2]
     """
     n = _checks.positive_integer(size, "size")
-    _checks.require_memory(100.0 * n * n, "size", n)
+    _checks.require_memory(N_BYTES_PER_POLICY_STATE * n * n, "size", n)
     row = np.arange(n * n) // n
     return deterministic_policy(np.where(row < n - 1, 0, 2), 4)
 
@@ -167,7 +168,7 @@ def gridworld_policy(size: int, delta: float) -> Array:
 @checked(shapes={"behavior_policy": "S A", "policies": "S A"})
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """The default problem of ``oee evaluate``, with its target.
+    """Hold the default problem of ``oee evaluate``, with its target.
 
     It is the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d).
 

@@ -25,8 +25,7 @@ from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy
 from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.discretized import Discretization
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous import ContinuousSimulator, Discretization
 else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded on use
     Discretization: TypeAlias = Any
     ContinuousSimulator: TypeAlias = Any
@@ -38,7 +37,7 @@ FINITE = ("gridworld",)
 @checked()
 @dataclass(frozen=True)
 class NamedTask:
-    """A simulator that was named.
+    """Hold a simulator that was named, with what belongs to it.
 
     Attributes
     ----------

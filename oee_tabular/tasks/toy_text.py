@@ -18,13 +18,11 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.policies import shape_of
-from oee_tabular.mdp.stepping import (
+from oee_tabular.mdp import FiniteMDP, check_policy, require_environment, shape_of
+from oee_tabular.tasks.stepping import (
     MAX_EPISODE_STEPS,
     count_actions,
     count_observations,
-    require_environment,
     require_observation,
     reset_environment,
     step_environment,
@@ -243,24 +241,7 @@ def record_episodes(
     episodes = _positive_or_none(n_episodes, "n_episodes")
     longest = _positive_or_none(max_steps, "max_steps")
     require_environment(env)
-    n_actions = count_actions(env)
-    n_observations = count_observations(env)
-    if n_observations is None:
-        space = getattr(env, "observation_space", None)
-        raise ArgumentError(
-            "env.observation_space",
-            f"must be Discrete; it is {_checks.show(space)} (of episodes that you step"
-            " yourself: Transitions.from_episodes)",
-        )
-    # a policy may have more rows than the environment: twins of its states follow
-    shape = shape_of(policy)
-    n_rows = shape[0] if len(shape) == 2 else 0
-    numbered = SimpleNamespace(
-        n_states=max(n_rows, n_observations),
-        n_actions=n_actions,
-        terminal_state=np.arange(n_observations),
-    )
-    pi = check_policy(policy, numbered)
+    pi, n_observations = _policy_on_observations(env, policy)
     rows = []
     steps = _step(env, pi, n_observations, episodes, longest, _checks.generator(seed))
     with progress_bar("recording", total=limit or episodes) as progress:
@@ -282,6 +263,28 @@ def record_episodes(
         episode=episode,
         behavior_probability=pi[states, actions],
     )
+
+
+def _policy_on_observations(env: Environment, policy: PolicyLike) -> tuple[Array, int]:
+    """Return a policy as (S, A), and the number of the environment's observations."""
+    n_actions = count_actions(env)
+    n_observations = count_observations(env)
+    if n_observations is None:
+        space = getattr(env, "observation_space", None)
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be Discrete; it is {_checks.show(space)} (of episodes that you step"
+            " yourself: Transitions.from_episodes)",
+        )
+    # a policy may have more rows than the environment: twins of its states follow
+    shape = shape_of(policy)
+    n_rows = shape[0] if len(shape) == 2 else 0
+    numbered = SimpleNamespace(
+        n_states=max(n_rows, n_observations),
+        n_actions=n_actions,
+        terminal_state=np.arange(n_observations),
+    )
+    return check_policy(policy, numbered), n_observations
 
 
 def _positive_or_none(value: int | None, name: str) -> int | None:

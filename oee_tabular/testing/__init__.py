@@ -47,6 +47,8 @@ from typing import TYPE_CHECKING, Any
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
 from oee_tabular.testing.code import as_code
 from oee_tabular.testing.conformance import LAWS, check_estimator
+from oee_tabular.testing.conformance import check_module as check_module
+from oee_tabular.testing.conformance import own_estimator as own_estimator
 from oee_tabular.testing.oracles import OracleComparison, compare_with_oracle
 from oee_tabular.testing.subject import CLAIMS, DEFAULT, Verdict, Verdicts, claims_of
 
@@ -54,6 +56,7 @@ if TYPE_CHECKING:
     from oee_tabular.testing.strategies import horizons, logs, mdp_pairs, mdps, policies
 
 _STRATEGIES = ("horizons", "logs", "mdp_pairs", "mdps", "policies")
+# what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
     "CASES",
     "CLAIMS",

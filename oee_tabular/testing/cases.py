@@ -312,12 +312,42 @@ def _equally_likely(chances: Array, name: str) -> IntArray:
 def _exact_log(pair: Case, copies: int) -> Transitions:
     """Return every episode of a case as often as it is probable, ``copies`` times."""
     target = pair.target
+    paths = np.tile(_equally_likely_paths(pair, copies), (copies, 1, 1))
+    ended = target.absorbing()
+    # an episode ends on its first arrival in an absorbing state, after at least a step
+    over = ended[paths[:, :, 2]].astype(np.int64)
+    goes_on: BoolArray = over.cumsum(axis=1) == over
+    episode, timestep = np.nonzero(goes_on)
+    states, actions, next_states = paths[episode, timestep].T
+    rewards = target.rewards[states, actions]
+    if target.transition_rewards is not None:
+        table = target.transition_rewards.toarray()
+        rewards = table[states * target.n_actions + actions, next_states]
+    return Transitions(
+        states,
+        actions,
+        next_states,
+        rewards,
+        terminated=ended[next_states],
+        episode=episode,
+        timestep=timestep,
+        behavior_probability=pair.behavior[states, actions],
+    )
+
+
+def _equally_likely_paths(pair: Case, copies: int) -> IntArray:
+    """Return (n, steps, 3) paths of s, a, s', each as often as it is probable.
+
+    Raises an ArgumentError where ``copies`` of them are more than ``MAX_EPISODES``.
+    """
+    target = pair.target
     n_actions = target.n_actions
     state = _equally_likely(target.initial[None, :], "initial")[0]
     action_of = _equally_likely(pair.behavior, "behavior")
     rows = target.transitions.toarray()
     next_of = _equally_likely(rows, "transitions")
-    n_choices, n_moves = action_of.shape[1], next_of.shape[1]
+    n_choices = action_of.shape[1]
+    n_moves = next_of.shape[1]
     total = copies * len(state) * (n_choices * n_moves) ** pair.steps
     if total > MAX_EPISODES:
         raise ArgumentError(
@@ -337,27 +367,7 @@ def _exact_log(pair: Case, copies: int) -> Transitions:
             [np.repeat(paths, n_choices * n_moves, axis=0), step[:, None]], axis=1
         )
         state = arrival
-    paths = np.tile(paths, (copies, 1, 1))
-    ended = target.absorbing()
-    # an episode ends on its first arrival in an absorbing state, after at least a step
-    over = ended[paths[:, :, 2]].astype(np.int64)
-    goes_on: BoolArray = over.cumsum(axis=1) == over
-    episode, timestep = np.nonzero(goes_on)
-    states, actions, next_states = paths[episode, timestep].T
-    rewards = target.rewards[states, actions]
-    if target.transition_rewards is not None:
-        table = target.transition_rewards.toarray()
-        rewards = table[states * n_actions + actions, next_states]
-    return Transitions(
-        states,
-        actions,
-        next_states,
-        rewards,
-        terminated=ended[next_states],
-        episode=episode,
-        timestep=timestep,
-        behavior_probability=pair.behavior[states, actions],
-    )
+    return paths
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:

@@ -143,10 +143,9 @@ def check_estimator(
     fails a statistical law with a chance of about 1e-5 a comparison (unbiased: 1e-4);
     so these laws alone let a bias of less than some 11 standard errors of the mean of 8
     logs (3% of the value in these pairs) pass; with 30 logs (``repetitions``) a quarter
-    of that. An estimator that
-    is a dataclass with a field ``n_rollouts`` is given more rollouts with more episodes
-    where its limit is looked at. Cost: some 100 estimates (900 where it claims to be
-    unbiased), of logs of up to 4800 episodes.
+    of that. An estimator that is a dataclass with a field ``n_rollouts`` is given more
+    rollouts with more episodes where its limit is looked at. The cost is some 100
+    estimates (900 where it claims to be unbiased), of logs of up to 4800 episodes.
 
     Examples
     --------
@@ -251,11 +250,10 @@ def check_law(name: str, subject: Subject) -> Verdict:
 
 EXAMPLE = "my_package.mine:MyEstimator"
 BYTES_OF_REPETITION = 10_800  # of the log of 150 episodes that it draws
-LONGEST = 1e6  # seconds; operating systems wait for little more
-# seconds that compilation and import of this package may take: no fault of the
-# estimator's
-PREPARING = 3600.0
-MOST_HANGS = 3  # laws that may hang before the rest is left
+MAX_TIMEOUT_SECONDS = 1e6  # operating systems wait for little more
+# for compilation and import of this package, which are no fault of the estimator's
+MAX_PREPARATION_SECONDS = 3600.0
+MAX_HANGS = 3  # laws that may hang before the rest is left
 
 
 def check_module(
@@ -292,15 +290,16 @@ def check_module(
         or takes longer when it is), or the object is no estimator.
     """
     check_numbers(seed, repetitions)
-    seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
+    seconds = _checks.number_in(
+        timeout, "timeout", 0.0, MAX_TIMEOUT_SECONDS, open_ends=True
+    )
     module_and_path(spec, "the estimator", EXAMPLE)
     verdicts: dict[str, Verdict] = {}
     n_hangs = 0
-    while (
-        left := [name for name in LAWS if name not in verdicts]
-    ) and n_hangs < MOST_HANGS:
+    left = list(LAWS)
+    while left and n_hangs < MAX_HANGS:
         with _process(spec, seed, repetitions, left) as answer:
-            answer(PREPARING)
+            answer(MAX_PREPARATION_SECONDS)
             try:
                 title, claims = answer(seconds)
             except Ended as ended:
@@ -314,16 +313,12 @@ def check_module(
                     verdicts[name] = Verdict(name, ended.outcome, ended.text, example)
                     n_hangs += ended.outcome == "hangs"
                     break
+        left = [name for name in LAWS if name not in verdicts]
     for name in left:
-        is_claimed = LAWS[name].is_claimed(claims)
-        verdicts[name] = Verdict(
-            name,
-            *(
-                ("not run", f"{MOST_HANGS} laws hang")
-                if is_claimed
-                else ("not claimed", "")
-            ),
-        )
+        if LAWS[name].is_claimed(claims):
+            verdicts[name] = Verdict(name, "not run", f"{MAX_HANGS} laws hang")
+        else:
+            verdicts[name] = Verdict(name, "not claimed", "")
     return Verdicts(title, claims, seed, verdicts)
 
 

@@ -14,7 +14,7 @@ from oee_tabular.exceptions import ArgumentError
 
 __all__ = ["check"]
 
-TOLERANCE = 0.005  # relative
+RELATIVE_TOLERANCE = 0.005
 
 
 def check(exercise: str, answer: Any) -> None:
@@ -70,7 +70,9 @@ def check(exercise: str, answer: Any) -> None:
         with suppress(ValueError):  # a ragged list
             numbers = np.asarray(answer)
         has_kind = numbers.dtype.kind in "iuf" and numbers.shape == np.shape(expected)
-        allowed = exercises[exercise].get("tolerance", TOLERANCE) * np.abs(expected)
+        allowed = exercises[exercise].get("tolerance", RELATIVE_TOLERANCE) * np.abs(
+            expected
+        )
         is_right = has_kind and bool(np.all(np.abs(numbers - expected) <= allowed))
     assert is_right, (
         f"{answer!r} is not right. Hint:"

@@ -39,35 +39,42 @@ from oee_tabular.testing.subject import (
 )
 from oee_tabular.typing import Array, Csr, PolicyLike
 
-# episodes
-SMALL = 300
-LARGE = 4800
-ROLLOUTS = {SMALL: 100, LARGE: 1000}  # of an estimator that has such a field, at least
-FAILURE_CHANCE = 1e-5  # of a right estimator in one comparison, two-sided
-# episodes of a log, and logs, for unbiasedness
-FEW = 3
-MANY = 400
-N_ERRORS = 4.0  # standard errors that a mean may be off
-# of the logs of laws that compare two estimates
-EPISODES = 300
-FEW_EPISODES = 40
-SCALE = -2.5
-SHIFT = 3.0
-SEEDS = 16
-# of exact data: transitions of each pair, and how often a second log repeats the first
-N_EXACT = 1e9
-COPIES = 16
-SHORTER = ((1, 1), (1, 2), (2, 2))  # horizons, and steps of the log's episodes
-MANY_SEEDS = 24  # of an estimator that draws
-MOST_ERRORS = 5.0  # standard errors that the mean over these seeds may be off
-# of the logs of odd problems, and of those that look at side effects
-ODD_EPISODES = 20
-PROTOCOL_EPISODES = 200
+# the logs whose estimates show where values tend to: 16 times as many episodes
+N_SMALL_LOG_EPISODES = 300
+N_LARGE_LOG_EPISODES = 4800
+# rollouts at least, of an estimator that has such a field, by the episodes of the log
+N_ROLLOUTS = {N_SMALL_LOG_EPISODES: 100, N_LARGE_LOG_EPISODES: 1000}
+# the chance that one comparison rejects a right estimator, two-sided
+FAILURE_CHANCE = 1e-5
+# unbiasedness: episodes of a log, logs, and standard errors that their mean may be off
+N_UNBIASED_EPISODES = 3
+N_UNBIASED_LOGS = 400
+MAX_UNBIASED_ERRORS = 4.0
+# laws that compare two estimates: episodes, what rewards are multiplied by, what is
+# added to them, and the seeds of an estimator that draws
+N_EPISODES = 300
+N_FEW_EPISODES = 40
+REWARD_FACTOR = -2.5
+ADDED_REWARD = 3.0
+N_SEEDS = 16
+# exact data: transitions of each pair, and how often a second log repeats the first
+N_EXACT_TRANSITIONS = 1e9
+N_COPIES = 16
+# horizons with the steps of the log's episodes
+SHORT_HORIZONS = ((1, 1), (1, 2), (2, 2))
+# exact data: the seeds of an estimator that draws, and standard errors that the mean
+# over them may be off
+N_EXACT_SEEDS = 24
+MAX_EXACT_ERRORS = 5.0
+# episodes of the logs of odd problems, and of those that look at side effects
+N_ODD_EPISODES = 20
+N_PROTOCOL_EPISODES = 200
 
 
 def well_formed(subject: Subject) -> str:
-    """Odd small problems give a finite value, a status that is not "ok", or a
-    ValueError that says why.
+    """Check that odd small problems give an answer that says what it is.
+
+    That is a finite value, a status that is not "ok", or a ValueError.
     """
     answers = []
     n_refused = 0
@@ -94,12 +101,12 @@ def well_formed(subject: Subject) -> str:
 def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
     """Yield logs of the odd cases; of others one episode, or no episodes."""
     for k, pair in enumerate(odd_cases()):
-        yield pair, subject.draw_log(pair, ODD_EPISODES, "odd", k)
+        yield pair, subject.draw_log(pair, N_ODD_EPISODES, "odd", k)
     for pair in subject.cases("ragged", "ragged infinite"):
         yield pair, subject.draw_log(pair, 1, "odd", "one episode")
         yield (
             pair,
-            pair.log(ODD_EPISODES, seed=subject.log_seed("odd", "no episodes")).draw(
+            pair.log(N_ODD_EPISODES, seed=subject.log_seed("odd", "no episodes")).draw(
                 10, seed=0
             ),
         )
@@ -107,10 +114,11 @@ def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def input_unchanged(subject: Subject, pair: Case) -> str:
-    """Problem, log, simulator and policy are after the call what they were, to the bit
-    (their arrays made writable).
+    """Check that problem, log, simulator and policy are left as they were, to the bit.
+
+    Their arrays are made writable.
     """
-    log = subject.draw_log(pair, PROTOCOL_EPISODES, "input", pair.name)
+    log = subject.draw_log(pair, N_PROTOCOL_EPISODES, "input", pair.name)
     subject.seen.log = log
     problem = pair.problem_of(log)
     policy = pair.policy.copy()
@@ -161,10 +169,11 @@ def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
 
 @on_cases("ragged", "ragged infinite")
 def reproducible(subject: Subject, pair: Case) -> str:
-    """The same seed gives the same bits, whatever the global random state, which it
-    leaves alone.
+    """Check that the same seed gives the same bits in any global random state.
+
+    The estimator leaves that state alone.
     """
-    log = subject.draw_log(pair, PROTOCOL_EPISODES, "reproducible", pair.name)
+    log = subject.draw_log(pair, N_PROTOCOL_EPISODES, "reproducible", pair.name)
     subject.seen.log = log
     first, second = (_estimate_in_state(subject, pair, log, state) for state in (1, 2))
     for name in ("value", "standard_error"):
@@ -205,12 +214,13 @@ def _estimate_in_state(
 
 @on_cases("ragged")
 def seeds(subject: Subject, pair: Case) -> str:
-    """Other seeds give the same bits (owed by every estimator that does not claim to be
-    random).
+    """Check that other seeds give the same bits.
+
+    Every estimator owes that which does not claim to be random.
     """
     if "random" in subject.claims:
         raise NotClaimed("it claims to be random")
-    log = subject.draw_log(pair, PROTOCOL_EPISODES, "seeds")
+    log = subject.draw_log(pair, N_PROTOCOL_EPISODES, "seeds")
     values = [subject.value(pair, log, seed=seed) for seed in range(4)]
     if len(set(values)) > 1:
         shown = ", ".join(f"{value:.8g}" for value in values)
@@ -220,11 +230,12 @@ def seeds(subject: Subject, pair: Case) -> str:
 
 @on_cases("violated")
 def support(subject: Subject, pair: Case) -> str:
-    """Where the target has transitions with simulator probability 0: a ValueError or a
-    status, no silent number.
+    """Check that a target outside the simulator's support gets no silent number.
 
-    ``Problem`` refuses a log with such a transition. Looked at are the estimator's
-    limit for such a target (J_target itself is right), and an oracle of such a target.
+    Where the target has transitions with simulator probability 0, there is a ValueError
+    or a status. ``Problem`` refuses a log with such a transition. Looked at are the
+    estimator's limit for such a target (J_target itself is right), and an oracle of
+    such a target.
     """
     texts = ["Problem refuses the log"]
     try:
@@ -243,7 +254,7 @@ def support(subject: Subject, pair: Case) -> str:
 def _check_oracle(subject: Subject, pair: Case) -> str:
     """Check an estimator made for the violating pair, on a log without violation."""
     inside = replace(pair, target=pair.simulator)
-    log = subject.draw_log(inside, PROTOCOL_EPISODES, "support")
+    log = subject.draw_log(inside, N_PROTOCOL_EPISODES, "support")
     try:
         answer = subject.estimate(pair, log, 0)
     except Refused as refused:
@@ -272,8 +283,9 @@ def _require_status(estimate: Estimate, pair: Case) -> None:
 
 @on_cases("ragged", "ragged infinite", "moves", "partial")
 def limit(subject: Subject, pair: Case) -> str:
-    """Its values tend to ``estimator.limit``, also where the log never shows some (s,
-    a) that the policy takes.
+    """Check that values tend to ``estimator.limit``.
+
+    This holds as well where the log lacks some (s, a) that the policy takes.
     """
     try:
         goal = subject.limit(pair, **_data(pair))
@@ -288,42 +300,45 @@ def limit(subject: Subject, pair: Case) -> str:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def consistent(subject: Subject, pair: Case) -> str:
-    """Its values tend to J_target under full support; so does its own limit, where it
-    has one.
-    """
+    """Check that values and limit tend to J_target under full support."""
     return _tends_to_truth(subject, pair)
 
 
 @on_cases("same ragged")
 def identical(subject: Subject, pair: Case) -> str:
-    """Where the target is the simulator (zeta = 1) its values tend to J of both, and
-    its limit is J.
-    """
+    """Check that values and limit tend to J where the target is the simulator."""
     return _tends_to_truth(subject, pair)
 
 
 @on_cases("survival")
 def ragged(subject: Subject, pair: Case) -> str:
-    """A chain with reward 1 until it ends: ended episodes count with reward 0, they are
-    not left out.
+    """Check that ended episodes count with reward 0, and are not left out.
+
+    The case is a chain with reward 1 until it ends.
     """
     return _tends_to_truth(subject, pair)
 
 
 @on_cases("ragged", "moves")
 def unbiased(subject: Subject, pair: Case) -> str:
-    """The mean over many logs of few episodes is J_target within 4 standard errors."""
-    logs = subject.draw_logs(pair, FEW, MANY, pair.name, FEW)
+    """Check that the mean over many logs is J_target within 4 standard errors.
+
+    Each log has few episodes.
+    """
+    logs = subject.draw_logs(
+        pair, N_UNBIASED_EPISODES, N_UNBIASED_LOGS, pair.name, N_UNBIASED_EPISODES
+    )
     values: Array = np.array(
         [subject.value(pair, log, seed=k) for k, log in enumerate(logs)]
     )
     mean = float(values.mean())
-    error = float(values.std(ddof=1) / np.sqrt(MANY))
+    error = float(values.std(ddof=1) / np.sqrt(N_UNBIASED_LOGS))
     distance = abs(mean - pair.truth)
     numbers = (
-        f"mean {mean:.5g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
+        f"mean {mean:.5g} of {N_UNBIASED_LOGS} logs of {N_UNBIASED_EPISODES} episodes,"
+        f" J_target {pair.truth:.5g}"
     )
-    allowed = N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth))
+    allowed = MAX_UNBIASED_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth))
     if distance <= allowed:
         subject.seen.tolerances.append(allowed / (abs(pair.truth) or 1.0))
         return f"{numbers}, tolerance {allowed:.2g}"
@@ -335,18 +350,20 @@ def unbiased(subject: Subject, pair: Case) -> str:
     )
     raise Broken(
         f"{numbers}: off by {off_by}",
-        f"mean over seeds of the value on pair.problem({FEW}, seed=seed)",
+        f"mean over seeds of the value on pair.problem({N_UNBIASED_EPISODES}, seed=seed)",
     )
 
 
 @on_cases("ragged", "ragged infinite", "moves")
 def relabelling(subject: Subject, pair: Case) -> str:
-    """Names of states and actions do not matter, places (``layout``) kept: exactly, or
-    in the mean over seeds that matter.
+    """Check that the numbers of states and actions do not matter.
+
+    States keep their places (``layout``). Values are equal, or equal in the mean over
+    seeds where these matter.
     """
     states = np.roll(np.arange(pair.simulator.n_states), 1)
     actions = np.arange(pair.simulator.n_actions)[::-1].copy()
-    log = subject.draw_log(pair, EPISODES, "relabelling", pair.name)
+    log = subject.draw_log(pair, N_EPISODES, "relabelling", pair.name)
     permutations = f"{states.tolist()}, {actions.tolist()}"
     renamed = subject.seen.remember(
         relabelled_log(log, states, actions),
@@ -361,7 +378,10 @@ def relabelling(subject: Subject, pair: Case) -> str:
     except Broken:
         first, second = (
             np.array(
-                [subject.value(*run, seed=seed, rollouts=1000) for seed in range(SEEDS)]
+                [
+                    subject.value(*run, seed=seed, rollouts=1000)
+                    for seed in range(N_SEEDS)
+                ]
             )
             for run in runs
         )
@@ -374,37 +394,36 @@ def relabelling(subject: Subject, pair: Case) -> str:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def scale(subject: Subject, pair: Case) -> str:
-    """Rewards a r, in the log and in the simulator, give a J."""
-    return _compare_rewards(subject, pair, EPISODES, SCALE, 0.0)
+    """Check that rewards a r, in the log and in the simulator, give a J."""
+    return _compare_rewards(subject, pair, N_EPISODES, REWARD_FACTOR, 0.0)
 
 
 @on_cases("moves", "moves infinite")
 def shift(subject: Subject, pair: Case) -> str:
-    """Rewards r + b give J + b sum_t gamma^t, also where some (s, a) were never
-    recorded.
+    """Check that rewards r + b give J + b sum_t gamma^t.
 
-    Nothing ends in these cases, because an absorbing state would have reward b, too.
+    This holds as well where some (s, a) were never recorded. Nothing ends in these
+    cases, because an absorbing state would have reward b, too.
     """
     behavior = pair.behavior.copy()
     behavior[-1] = [1.0, 0.0]
     return _compare_rewards(
-        subject, replace(pair, behavior=behavior), FEW_EPISODES, 1.0, SHIFT
+        subject, replace(pair, behavior=behavior), N_FEW_EPISODES, 1.0, ADDED_REWARD
     )
 
 
 @on_cases("ragged", "ragged infinite")
 def padding(subject: Subject, pair: Case) -> str:
-    """Rows in the absorbing state after the end (the one action that policy and
-    behaviour take there) change nothing.
+    """Check that rows in the absorbing state after the end change nothing.
+
+    They have the one action that policy and behaviour take there.
     """
     return _compare_padding(subject, pair, (0, 0, 0), 1.0)
 
 
 @on_cases("ragged", "ragged infinite")
 def after_end(subject: Subject, pair: Case) -> str:
-    """Rows in the absorbing state change nothing, also where policy and behaviour take
-    other actions there.
-    """
+    """Check the same where policy and behaviour take other actions after the end."""
     policy = pair.policy.copy()
     behavior = pair.behavior.copy()
     policy[-1] = [0.9, 0.1]
@@ -427,14 +446,16 @@ def _of_case(subject: Subject, pair: Case, log: Transitions) -> str:
 
 @on_cases("exact", "exact infinite", "exact partial", "exact partial infinite")
 def exact(subject: Subject, pair: Case) -> str:
-    """On a log that has every episode as often as it is probable the value is J_target
-    (else its limit), to the tolerance that it declares, or 1e-6 of the value.
+    """Check that the value is exact on a log with every episode as often as probable.
 
-    An estimator that draws may be off by five standard errors of its mean over seeds.
-    One with a prior is given 10^9 transitions a pair as ``problem.counts``, or 16 times
-    as many episodes: it may be off by a third of what they change.
+    It is J_target, or the estimator's limit, to the tolerance that the estimator
+    declares, or 1e-6 of the value. An estimator that draws may be off by five standard
+    errors of its mean over seeds. One with a prior is given 10^9 transitions a pair as
+    ``problem.counts``, or 16 times as many episodes: it may be off by a third of what
+    they change.
     """
-    goal, what = pair.truth, "J_target"
+    goal = pair.truth
+    what = "J_target"
     if "consistent" not in subject.claims or pair.name.startswith("exact partial"):
         try:
             own = subject.limit(pair, **_data(pair))
@@ -444,14 +465,17 @@ def exact(subject: Subject, pair: Case) -> str:
             if "consistent" not in subject.claims:
                 raise NotClaimed("it does not claim consistent, and has no limit")
             return "it has no limit"
-        goal, what = own, "its limit"
+        goal = own
+        what = "its limit"
     try:
         return _is_exact(subject, pair, goal, what)
     except Raises:
         raise
     except Broken as broken:
         # the shortest log in which it is broken is easiest to look at
-        for horizon, steps in SHORTER if what == "J_target" and pair.horizon else ():
+        for horizon, steps in (
+            SHORT_HORIZONS if what == "J_target" and pair.horizon else ()
+        ):
             short = replace(pair, horizon=horizon, steps=steps)
             try:
                 _is_exact(subject, short, short.truth, what)
@@ -491,9 +515,9 @@ def _is_exact(subject: Subject, pair: Case, goal: float, what: str) -> str:
         ):
             value, chance = many
             allowed = subject.tolerance * unit + chance
-            data = f"counts of {N_EXACT:.0e} transitions a pair"
+            data = f"counts of {N_EXACT_TRANSITIONS:.0e} transitions a pair"
         else:
-            larger = pair.exact_log(COPIES)
+            larger = pair.exact_log(N_COPIES)
             again = replace(pair.problem_of(larger), simulator_data="exact")
             second, second_chance = _mean_of_seeds(subject, pair, larger, again)
             subject.seen.log = log
@@ -515,7 +539,7 @@ def _is_exact(subject: Subject, pair: Case, goal: float, what: str) -> str:
 def _sure_counts(pair: Case) -> Csr:
     """Return 10^9 times the target's rows of the pairs that logs have."""
     recorded = sparse.diags_array(
-        N_EXACT * (pair.data_distribution.ravel() > 0), format="csr"
+        N_EXACT_TRANSITIONS * (pair.data_distribution.ravel() > 0), format="csr"
     )
     return sparse.csr_array(recorded @ pair.target.transitions)
 
@@ -524,12 +548,12 @@ def _mean_of_seeds(
     subject: Subject, pair: Case, log: Transitions, problem: Problem
 ) -> tuple[float, float]:
     """Return the mean value over seeds that matter, and five standard errors of it."""
-    seeds = MANY_SEEDS if "random" in subject.claims else 1
+    seeds = N_EXACT_SEEDS if "random" in subject.claims else 1
     values: Array = np.array(
         [
             value_of(
                 subject.estimate_problem(
-                    pair, log, problem, seed, rollouts=ROLLOUTS[LARGE]
+                    pair, log, problem, seed, rollouts=N_ROLLOUTS[N_LARGE_LOG_EPISODES]
                 ),
                 seed,
             )
@@ -539,7 +563,7 @@ def _mean_of_seeds(
     if np.ptp(values) == 0.0:
         return float(values[0]), 0.0
     error = float(values.std(ddof=1) / np.sqrt(seeds))
-    return float(values.mean()), MOST_ERRORS * error
+    return float(values.mean()), MAX_EXACT_ERRORS * error
 
 
 # ---- does the mean of an estimator's values tend to a number?
@@ -574,10 +598,14 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
     left of it, one of order 1/n by 15 times.
     """
     if pair.name not in subject.values:
-        small = _draw_values(subject, pair, SMALL, max(subject.repetitions // 2, 2), 0)
+        small = _draw_values(
+            subject, pair, N_SMALL_LOG_EPISODES, max(subject.repetitions // 2, 2), 0
+        )
         subject.values[pair.name] = (
             small,
-            _draw_values(subject, pair, LARGE, subject.repetitions, 1000),
+            _draw_values(
+                subject, pair, N_LARGE_LOG_EPISODES, subject.repetitions, 1000
+            ),
         )
     small, large = subject.values[pair.name]
     n = len(large)
@@ -586,14 +614,17 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
         1.0, abs(goal)
     )
     allowed += abs(float(small.mean()) - mean) / 3.0 if len(small) else 0.0
-    numbers = f"mean {mean:.5g} (of {n} logs of {LARGE} episodes), {what} {goal:.5g}"
+    numbers = (
+        f"mean {mean:.5g} (of {n} logs of {N_LARGE_LOG_EPISODES} episodes),"
+        f" {what} {goal:.5g}"
+    )
     if abs(mean - goal) <= allowed:
         subject.seen.tolerances.append(allowed / (abs(goal) or 1.0))
         return f"{numbers}, tolerance {allowed:.2g}"
     truth = "" if goal == pair.truth else f", J_target {pair.truth:.5g}"
     raise Broken(
         f"{numbers}: off by {abs(mean - goal):.3g}, tolerance {allowed:.2g}{truth}",
-        f"estimator(pair.problem({LARGE}, seed=0), pair.policy, seed=0) against"
+        f"estimator(pair.problem({N_LARGE_LOG_EPISODES}, seed=0), pair.policy, seed=0) against"
         f" {goal:.5g}",
     )
 
@@ -606,10 +637,10 @@ def _draw_values(
     for k, log in enumerate(subject.draw_logs(pair, n, repetitions, pair.name, n)):
         try:
             values.append(
-                subject.value(pair, log, seed=first_seed + k, rollouts=ROLLOUTS[n])
+                subject.value(pair, log, seed=first_seed + k, rollouts=N_ROLLOUTS[n])
             )
         except Broken as broken:
-            if n == LARGE or isinstance(broken, Raises):
+            if n == N_LARGE_LOG_EPISODES or isinstance(broken, Raises):
                 raise
     return np.array(values)
 
@@ -622,7 +653,7 @@ def _chance(error: float, n: int) -> float:
 # ---- two estimates
 
 
-ROUNDING = 1e-8  # share of a number by which an equal one may differ
+ROUNDING_TOLERANCE = 1e-8  # share of a number by which an equal one may differ
 
 
 def _equals(
@@ -635,8 +666,8 @@ def _equals(
 ) -> str:
     """Raise ``Broken`` where two numbers differ by more than rounding."""
     distance = abs(value - expected)
-    subject.seen.tolerances.append(ROUNDING)
-    if not distance <= ROUNDING * max(1.0, abs(expected)):
+    subject.seen.tolerances.append(ROUNDING_TOLERANCE)
+    if not distance <= ROUNDING_TOLERANCE * max(1.0, abs(expected)):
         raise Broken(
             f"{what}: {value:.10g}, expected {expected:.10g} (off by {distance:.2g})",
             example,
@@ -693,13 +724,13 @@ def _compare_padding(
     subject: Subject, pair: Case, actions: tuple[int, ...], probability: float
 ) -> str:
     """Check that rows in an absorbing state after an episode's end change nothing."""
-    log = subject.draw_log(pair, EPISODES, "padding", pair.name)
+    log = subject.draw_log(pair, N_EPISODES, "padding", pair.name)
     before = subject.value(pair, log)
     padded = subject.seen.remember(
         padded_log(log, actions, probability),
         f"oee.testing.padded_log({subject.seen.recipe(log)}, {actions}, {probability})",
     )
     after = subject.value(pair, padded)
-    example = f"padded_log(pair.log({EPISODES}, seed=0), {actions}, {probability})"
+    example = f"padded_log(pair.log({N_EPISODES}, seed=0), {actions}, {probability})"
     what = f"value with {len(actions)} rows after each end"
     return _equals(subject, after, before, before, what, example)

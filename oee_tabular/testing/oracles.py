@@ -23,8 +23,7 @@ from oee_tabular.exact import (
     trajectory_efficiency_bound,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.cases import pair_shares
@@ -142,8 +141,7 @@ class OracleComparison:
         """Return n * variance / bound, which tends to 1 for an efficient estimator.
 
         It is nan where the bound is 0 or infinite. With ``behavior_policy`` the bound
-        is
-        that of time-indexed dynamics and starts that are estimated, too: an estimator
+        is for time-indexed dynamics and starts that are estimated, too: an estimator
         that knows the dynamics to be stationary can be below it.
         """
         if not 0.0 < self.bound < math.inf:
@@ -311,7 +309,7 @@ def compare_with_oracle(
 
 
 class _Source(NamedTuple):
-    """How logs are drawn, and what is exact about them."""
+    """Hold how logs are drawn, and what is exact about them."""
 
     draw: Callable[..., Transitions]
     bound: float

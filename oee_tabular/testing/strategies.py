@@ -51,7 +51,7 @@ def mdps(
     rewards: Sequence[Literal["s", "sa", "sas"]] = REWARDS,
     absorbing: bool | None = None,
 ) -> st.SearchStrategy[FiniteMDP]:
-    """Draw finite MDPs.
+    """Draw small finite MDPs with probabilities that are easy to read.
 
     Parameters
     ----------
@@ -388,14 +388,9 @@ def logs(
         made = []
         for k in range(draw(st.integers(1, n * steps if is_bag else n))):
             state = draw(st.sampled_from(starts.tolist()))
-            for _ in range(1 if is_bag else draw(st.integers(1, steps))):
-                action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
-                row = model.transitions[[state * model.n_actions + action]]
-                next_state = draw(st.sampled_from(row.indices.tolist()))
-                made.append((state, action, next_state, k))
-                state = next_state
-                if ended[state]:
-                    break
+            length = 1 if is_bag else draw(st.integers(1, steps))
+            path = _draw_path(draw, model, behavior, state, length)
+            made += [(*step, k) for step in path]
         states, actions, next_states, episode = np.array(made).T
         columns = {"behavior_probability": behavior[states, actions]}
         if rewards:
@@ -405,6 +400,23 @@ def logs(
         return Transitions(states, actions, next_states, **columns)
 
     return draw_log()
+
+
+def _draw_path(
+    draw: st.DrawFn, model: FiniteMDP, behavior: Array, state: int, length: int
+) -> list[tuple[int, int, int]]:
+    """Draw at most ``length`` steps s, a, s' from a state, until an absorbing one."""
+    ended = model.absorbing()
+    path = []
+    for _ in range(length):
+        action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
+        row = model.transitions[[state * model.n_actions + action]]
+        next_state = draw(st.sampled_from(row.indices.tolist()))
+        path.append((state, action, next_state))
+        state = next_state
+        if ended[state]:
+            break
+    return path
 
 
 def _array(rows: list[list[float]]) -> Array:

@@ -341,7 +341,8 @@ def ignore(title: str) -> None:
     """Do nothing with the title of a case."""
 
 
-TOLERANCE = 1e-6  # share of the value, of an estimator that declares none
+# the share of the value by which an estimator may be off that declares none
+DEFAULT_TOLERANCE = 1e-6
 
 
 @suggest_keywords
@@ -377,7 +378,7 @@ def tolerance_of(estimator: Any, tolerance: float | None = None) -> float:
         name = f"{type(estimator).__name__}.tolerance"
         share = getattr(estimator, "tolerance", None)
     if share is None:
-        return TOLERANCE
+        return DEFAULT_TOLERANCE
     return _checks.number_in(share, name, 0.0, 1.0, open_ends=True)
 
 
@@ -476,7 +477,7 @@ class Subject:
     repetitions: int
     is_oracle: bool = False
     report: Callable[[str], object] = ignore
-    tolerance: float = TOLERANCE
+    tolerance: float = DEFAULT_TOLERANCE
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     seen: Seen = field(default_factory=lambda: Seen())
 
@@ -687,10 +688,9 @@ def capture_errors(what: str) -> Iterator[None]:
 
     Its warnings are not shown, and its global random state is put back.
     """
-    state, numpy_state = (
-        random.getstate(),
-        np.random.get_state(),  # noqa: NPY002 (what is watched over is the global one)
-    )
+    state = random.getstate()
+    # numpy's global state is what an estimator may have changed
+    numpy_state = np.random.get_state()  # noqa: NPY002
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -14,11 +14,14 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_sums
-from oee_tabular.exact import policy_value
-from oee_tabular.exact.reweighted import Model
+from oee_tabular.exact import Model, policy_value
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    limit_horizon,
+    optional_horizon_length,
+)
 from oee_tabular.theory.theorem_1 import Sides, divergence_terms
 from oee_tabular.theory.theorem_2 import (
     RatioLike,

@@ -18,17 +18,21 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import (
+    Model,
     ReweightedModel,
     occupancy,
     policy_value,
     reweight,
     state_values,
 )
-from oee_tabular.exact.reweighted import Model
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.arrays import name_transition
-from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    limit_horizon,
+    name_transition,
+    optional_horizon_length,
+)
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.theory.theorem_1 import Sides, check_box, check_ratio
 from oee_tabular.typing import Array, BoolArray, PolicyLike, RealArrayLike, SparseLike

@@ -21,6 +21,8 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact import weight_growth, weight_moments
+from oee_tabular.exact.backup import back_up_pairs, back_up_transitions
+from oee_tabular.mdp.horizons import total_discount
 
 horizons = st.integers(1, 9)
 
@@ -447,3 +449,40 @@ def test_the_error_bound_of_kernels_of_any_sum_grows_with_them():
 
 def survival(n):
     return oee.FiniteMDP(np.full((n, 1, n), 1.0 / n), np.ones(n), np.full(n, 1 / n), 1)
+
+
+discounts = st.one_of(
+    st.floats(0.0, 1.0), st.integers(1, 53).map(lambda bits: 1.0 - 2.0**-bits)
+)
+
+
+@given(discounts, st.integers(1, 60))
+def test_the_weight_of_a_horizon_is_right_to_rounding(discount, steps):
+    """Near discount 1 as well, where 1 - discount^T has lost its digits."""
+    exactly = sum(Fraction(discount) ** t for t in range(steps))
+    assert abs(Fraction(total_discount(discount, steps)) / exactly - 1) < 2e-15
+
+
+@settings(max_examples=20)
+@given(rngs, discounts, st.integers(1, 9))
+def test_an_occupancy_sums_to_one_at_any_discount(rng, discount, steps):
+    mdp = random_mdp(rng, n_states=4).with_discount(discount)
+    time = oee.occupancy(mdp, random_policy(rng, mdp), horizon=steps)
+    assert abs(time.sum() - 1.0) < 1e-13
+
+
+@settings(max_examples=30)
+@given(rngs)
+def test_the_backup_of_a_pair_is_the_mean_of_those_of_its_transitions(rng):
+    """In kernels of any sum; r(s, a) stands in the pair's alone."""
+    model = some_model(rng)
+    values = rng.normal(size=model.n_states)
+    pairs = back_up_pairs(model, values)
+    kernel = model.transitions
+    expected = model.rewards.reshape(-1) + model.discount * (kernel @ values)
+    assert_allclose(pairs.reshape(-1), expected, rtol=0, atol=1e-12)
+    each = back_up_transitions(model, values)
+    means = sparse.csr_array((kernel.data * each, kernel.indices, kernel.indptr))
+    means.resize(kernel.shape)
+    own = model.rewards.reshape(-1) if model.reward_data is None else 0.0
+    assert_allclose(means.sum(axis=1) + own, expected, rtol=0, atol=1e-12)

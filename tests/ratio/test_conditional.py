@@ -202,7 +202,7 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
     # also: rows centred by numpy, or by a sparse product
     for size, small in ((2**18, 10**6), (37, 0)):
         monkeypatch.setattr("oee_tabular.mdp.rows.BLOCK", size)
-        monkeypatch.setattr("oee_tabular.mdp.rows.SMALL", small)
+        monkeypatch.setattr("oee_tabular.mdp.rows.MAX_REDUCEAT_SIZE", small)
         monkeypatch.setattr("oee_tabular.ratio.conditional.BLOCK", size)
         fit = oee.transition_ratio(log, simulator, **about, **OPTIONS[name])
         step = fit.one_step(gradient)

@@ -63,7 +63,7 @@ from oee_tabular.lab.experiment import (
     check_cells,
 )
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
-from oee_tabular.testing.conformance import own_estimator
+from oee_tabular.testing import own_estimator
 from oee_tabular.typing import PolicyLike, SeedNumbers
 
 __all__ = [

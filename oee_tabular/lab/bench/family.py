@@ -24,8 +24,13 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy, mix, uniform_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    mix,
+    optional_horizon_length,
+    uniform_policy,
+)
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes

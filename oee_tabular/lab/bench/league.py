@@ -33,7 +33,7 @@ from oee_tabular._results import checked, conform
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
-from oee_tabular.plots.style import (
+from oee_tabular.plots import (
     DIVERGING,
     INK,
     disable_math,

@@ -38,20 +38,24 @@ import pandas as pd
 from scipy import sparse
 
 from oee_tabular._sparse import row_sums
-from oee_tabular.continuous.cartpole import PAPER_NOISE, CartPole, cartpole_policy
-from oee_tabular.continuous.cells import Grid
-from oee_tabular.continuous.command import continuous_simulator
-from oee_tabular.continuous.discretization import (
+from oee_tabular.continuous import (
+    PAPER_NOISE,
+    CartPole,
+    ContinuousTask,
+    ContinuousTransitions,
+    Discretization,
+    Grid,
     GridInterpolation,
+    MonteCarlo,
+    ResidualSimulator,
     VisitedCells,
+    cartpole_policy,
+    continuous_simulator,
     discretize,
+    monte_carlo_value,
+    record,
+    sampling_rows,
 )
-from oee_tabular.continuous.discretized import Discretization
-from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record
-from oee_tabular.continuous.evaluation import sampling_rows
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.estimators import ImportanceSampling
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiment import Cell, Panels, Row, Stream, experiment, listed

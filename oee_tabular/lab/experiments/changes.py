@@ -15,22 +15,25 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from oee_tabular.continuous import kinova
-from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
-from oee_tabular.continuous.discretization import discretize
-from oee_tabular.continuous.episodes import (
+from oee_tabular.continuous import (
+    CartPole,
+    ContinuousTask,
+    ContinuousTransitions,
+    HistoryTask,
+    LinearModel,
     MonteCarlo,
+    Moves,
+    ResidualSimulator,
+    StatePolicy,
+    cartpole_policy,
     compare_returns,
+    corrected_value,
+    discretize,
+    kinova,
     monte_carlo_value,
+    reacher_policy,
     record,
 )
-from oee_tabular.continuous.history import HistoryTask
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.reacher import reacher_policy
-from oee_tabular.continuous.regression import LinearModel
-from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.rows import corrected_value
-from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiment import (
     Cell,

@@ -12,9 +12,14 @@ import numpy as np
 
 from oee_tabular._checks import freeze
 from oee_tabular._parallel import ONE_THREAD
-from oee_tabular.continuous.cartpole import CartPole
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy
+from oee_tabular.continuous import (
+    CartPole,
+    ContinuousTask,
+    ContinuousTransitions,
+    DerivedTask,
+    Moves,
+    StatePolicy,
+)
 from oee_tabular.typing import Array, BoolArray, IntArray
 
 

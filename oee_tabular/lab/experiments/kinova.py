@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular.continuous import kinova
-from oee_tabular.continuous.discretization import discretize
-from oee_tabular.continuous.discretized import Discretization
-from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous import (
+    ContinuousTransitions,
+    Discretization,
+    ResidualSimulator,
+    discretize,
+    kinova,
+    monte_carlo_value,
+)
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiment import (
     Cell,

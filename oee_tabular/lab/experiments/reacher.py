@@ -15,12 +15,17 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
-from oee_tabular.continuous.discretization import VisitedCells, discretize
-from oee_tabular.continuous.discretized import Discretization
-from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
-from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous import (
+    ContinuousTask,
+    Discretization,
+    Reacher,
+    ResidualSimulator,
+    VisitedCells,
+    discretize,
+    monte_carlo_value,
+    reacher_log,
+    reacher_policy,
+)
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiment import Cell, Panels, Row, Stream, experiment, reach
 from oee_tabular.lab.experiments.classic import LinearGaussian

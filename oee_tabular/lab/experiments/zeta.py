@@ -39,7 +39,7 @@ from oee_tabular.lab.experiments.common import (
     sample_log,
     zeta_error,
 )
-from oee_tabular.plots.style import INK
+from oee_tabular.plots import INK
 from oee_tabular.ratio import Network, Quotient, action_displacement
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.tasks import gridworld, gridworld_policy

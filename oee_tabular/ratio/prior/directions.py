@@ -32,11 +32,16 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular.exact import state_values
-from oee_tabular.exact.values import values_or_zeros
+from oee_tabular.exact import state_values, values_or_zeros
 from oee_tabular.exceptions import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
+from oee_tabular.mdp import (
+    BLOCK,
+    DIGITS,
+    FiniteMDP,
+    Rows,
+    distinct_rows,
+    round_displacements,
+)
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
 from oee_tabular.typing import Array, IntArray
 

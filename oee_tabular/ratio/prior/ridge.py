@@ -45,7 +45,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp import Rows
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior._ridge import (
     Columns,

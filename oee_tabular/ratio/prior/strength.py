@@ -27,7 +27,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from oee_tabular._compiling import njit
-from oee_tabular.mdp.rows import Rows, distinct_rows
+from oee_tabular.mdp import Rows, distinct_rows
 from oee_tabular.typing import Array, IntArray
 
 # The argument from which Stirling's series with four terms errs by less than 1e-13.

@@ -11,9 +11,13 @@ from oee_tabular._compiling import njit
 
 @njit(cache=True)
 def solve(data, indices, indptr, starts, is_lacking, discount, tolerance, n_sweeps):
-    """Return max_a Q and gamma P V of each pair, and V with V_0 at its end.
+    """Compute V by value iteration from 0, with what a state-action pair lacks.
 
-    The rows of P (csr, (S*A, S + 1)) have ended episodes in their last column.
+    Q(s, a) <- 1 if is_lacking[s, a], else gamma sum_s' P(s' | s, a) V(s'),
+    V(s) <- max(gamma V_0, max_a Q(s, a)), V_0 <- sum_s starts[s] V(s), until no value
+    changes by ``tolerance``, or ``n_sweeps`` times. The rows of P (csr, (S*A, S + 1))
+    have ended episodes in their last column, whose value is V_0. Returns max_a Q (S,),
+    gamma P V (S, A), and V with V_0 at its end (S + 1,).
     """
     n_states, n_actions = is_lacking.shape
     ahead = np.zeros((n_states, n_actions))
