@@ -303,24 +303,27 @@ N_FREE_ENTRIES = 1000
 
 
 @njit(cache=True)
-def breadth_first(kernel, back, widest):
-    """Find the states in breadth-first order, and each state's place in it.
+def breadth_first(kernel, back, widest, root):
+    """Find the states in breadth-first order from a root, and each state's place in it.
 
-    Later trees stand before earlier ones. The search goes along the rows; where
-    ``back``, the transposed rows, has any, along both. The result is empty where states
-    stand more than ``widest`` places behind the state that led to them, on average.
+    Where the root does not lead to all states, other trees follow; later trees stand
+    before earlier ones. The search goes along the rows; where ``back``, the transposed
+    rows, has any, along both. The result is empty where states stand more than
+    ``widest`` places behind the state that led to them, on average.
     """
     n = len(kernel.indptr) - 1
     place = np.empty(n, dtype=np.uint32)
     queue = np.empty(n, dtype=np.uint32)
     is_seen = np.zeros(n, dtype=np.bool_)
     free = n
-    root = 0
+    n_passed = 0
     distance = 0.0
     n_done = 0
     while free > 0:
+        # the next root is the first state that no tree has
         while is_seen[root]:
-            root += 1
+            root = n_passed
+            n_passed += 1
         queue[0] = root
         is_seen[root] = True
         head = 0

@@ -22,6 +22,11 @@ from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 # entries of a state in the envelope, on average, up to which LU in it is tried
 # (solvers/direct.py says where that was measured)
 MAX_ENVELOPE_WIDTH = 48.0
+# those up to which it is tried first: on grids of 20 x 20, which have as many, BiCGSTAB
+# takes as long
+MAX_NARROW_WIDTH = 14
+# entries of K a state below which no second order is tried; a tree has two
+MIN_BAND_ENTRIES = 2.5
 
 # the smallest positive float: what the rounding of a subnormal number may add
 SMALLEST_FLOAT = 5e-324
@@ -155,33 +160,42 @@ class System:
     @cached_property
     def order(self) -> tuple[Any, Any]:
         """Return the states in breadth-first order along the rows, and their places."""
-        return tuple(_system.breadth_first(self.kernel, NO_ROWS, np.inf))
+        return tuple(_system.breadth_first(self.kernel, NO_ROWS, np.inf, 0))
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:
         """Return the envelope of M in a breadth-first order, or None where it is wide.
 
-        The tuple has the place of each state and what ``find_envelope`` returns. Both
-        the order along the rows and the order along the rows and back are tried: the
-        first suits graphs in which all states lead back to one, the second layers. The
-        search for the second ends as soon as it is wider than ``MAX_ENVELOPE_WIDTH``
-        entries a state.
+        The tuple has the place of each state and what ``find_envelope`` returns. Wide
+        is more than ``MAX_ENVELOPE_WIDTH`` entries a state. The order along the rows
+        suits graphs in which all states lead back to one. Where its envelope is not
+        narrow, the order along the rows and back is tried, which suits layers and
+        bands. This search begins with the last state of the first, since from the
+        middle of a band it would go both ways at once, in fronts of twice the width.
         """
         # an envelope has at least half of the entries
         if len(self.kernel.indices) > (2.0 * MAX_ENVELOPE_WIDTH + 1.0) * self.n_states:
             return None
-        for is_along_both in (False, True):
-            if is_along_both:
-                _, place = _system.breadth_first(
-                    self.kernel, self.back, MAX_ENVELOPE_WIDTH
-                )
-            else:
-                _, place = self.order
+        best = self._envelope_of(self.order[1])
+        # trees and the like are quicker to eliminate in another order
+        is_tree = len(self.kernel.indices) < MIN_BAND_ENTRIES * self.n_states
+        if best[-1][-1] > self.max_narrow_entries and not is_tree:
+            last = int(self.order[0][-1])
+            _, place = _system.breadth_first(
+                self.kernel, self.back, MAX_ENVELOPE_WIDTH, last
+            )
             if len(place):
-                order, first, starts = _system.find_envelope(self.kernel, place)
-                if starts[-1] <= MAX_ENVELOPE_WIDTH * self.n_states:
-                    return place, order, first, starts
-        return None
+                best = min(best, self._envelope_of(place), key=lambda e: e[-1][-1])
+        return best if best[-1][-1] <= MAX_ENVELOPE_WIDTH * self.n_states else None
+
+    def _envelope_of(self, place: Any) -> tuple[Any, ...]:
+        """Return the places of the states and their envelope."""
+        return place, *_system.find_envelope(self.kernel, place)
+
+    @property
+    def max_narrow_entries(self) -> int:
+        """Return the number of entries up to which an envelope is narrow."""
+        return max(MAX_NARROW_WIDTH * self.n_states, 2 * len(self.kernel.indices))
 
     def csr(self) -> Csr:
         """Return K as a scipy matrix."""

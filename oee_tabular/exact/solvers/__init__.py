@@ -44,6 +44,7 @@ from oee_tabular.exact.solvers.direct import (
     EnvelopeLU,
     SuperLU,
 )
+from oee_tabular.exact.solvers.elimination import Elimination
 from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
 from oee_tabular.exact.system import Solve, System, spectral_radius
 from oee_tabular.exceptions import DivergentKernelError, NumericalWarning
@@ -72,7 +73,8 @@ SOLVERS: tuple[Solver, ...] = (
     LAPACK(100),
     ValueIteration(),
     EnvelopeLU(is_narrow=True),
-    SuperLU(8.0),
+    PlainBiCGStab(6, 2.5),
+    Elimination(),
     PlainBiCGStab(),
     BiCGStab(),
     EnvelopeLU(),

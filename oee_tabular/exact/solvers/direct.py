@@ -13,6 +13,7 @@ pivoting.
 from __future__ import annotations
 
 from collections import namedtuple
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,12 +23,15 @@ from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._compiling import njit
+from oee_tabular._parallel import ONE_THREAD
 from oee_tabular.exact import _system
 from oee_tabular.exact.system import KernelRows, Solve, System
 from oee_tabular.typing import Array
 
 # of the last resort: a dense LU of 3000 states takes 72 MB and a second
 MAX_DENSE_STATES = 3000
+# of a matrix that OpenBLAS 0.3 factorises in one thread
+MAX_ONE_THREAD_STATES = 100
 
 # states in the order of elimination, the first linked state of each, where its row
 # begins; rows of L, columns of U, U's diagonal
@@ -55,17 +59,30 @@ class LAPACK:
         # the transposed matrix is in Fortran's order, so that LAPACK copies nothing
         matrix = np.zeros((system.n_states, system.n_states))
         fill_matrix(*system.kernel, matrix)
-        matrix = matrix.T
+        return solver_of_dense(matrix.T, not system.transpose)
+
+
+def solver_of_dense(matrix: Array, transpose: bool) -> Solve:
+    """Factorise a dense matrix in Fortran's order, which is overwritten.
+
+    Gives the solver of its system, or of the transposed one, which gives up where the
+    matrix is singular.
+    """
+    # OpenBLAS leaves a small matrix to one thread; of a larger one the number of
+    # threads would decide the last digits
+    context = ONE_THREAD if len(matrix) > MAX_ONE_THREAD_STATES else nullcontext()
+    with context:
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
-        def solve(b: Array, relative: float) -> Array | None:
-            """Solve by the factors, unless the system is singular."""
-            if is_singular:
-                return None
-            x, _ = lapack.dgetrs(factors, place, b, trans=not system.transpose)
-            return np.asarray(x)
+    def solve(b: Array, relative: float) -> Array | None:
+        """Solve by the factors, unless the matrix is singular."""
+        if is_singular:
+            return None
+        with context:
+            x, _ = lapack.dgetrs(factors, place, b, trans=transpose)
+        return np.asarray(x)
 
-        return solve
+    return solve
 
 
 @njit(cache=True)
@@ -83,7 +100,7 @@ class EnvelopeLU:
 
     It suits rings, chains, queues and layers, whatever the order of their states. Up to
     ``MAX_ENVELOPE_WIDTH`` it is .8 to 6 times as fast as SuperLU
-    (tests/benchmarks/values.py). ``is_narrow``: only up to 10 entries a state, or twice
+    (tests/benchmarks/values.py). ``is_narrow``: only up to 14 entries a state, or twice
     the entries of K, where it is 2 to 6 times as fast; between that and
     ``MAX_ENVELOPE_WIDTH`` lie grids of up to 60 x 60, which BiCGSTAB solves in few
     steps, and random bands.
@@ -99,9 +116,7 @@ class EnvelopeLU:
             return False
         if not self.is_narrow:
             return True
-        n_filled = system.envelope[-1][-1]
-        n_entries = len(system.kernel.indices)
-        return bool(n_filled <= max(10 * system.n_states, 2 * n_entries))
+        return bool(system.envelope[-1][-1] <= system.max_narrow_entries)
 
     def prepare(self, system: System) -> Solve:
         """Factorise within the envelope; give up where a pivot is not positive.

@@ -121,11 +121,15 @@ class PlainBiCGStab:
     It gives up where the residual does not fall to a tenth in 150 steps.
     """
 
+    window: int = N_WINDOW_STEPS
+    least_entries: float = 0.0
     name: str = "BiCGSTAB"
     is_direct: bool = False
 
     def suits(self, system: System) -> bool:
         """Return whether the graph expands, by a search that ends early."""
+        if len(system.kernel.indices) < self.least_entries * system.n_states:
+            return False
         return system.expands
 
     def prepare(self, system: System) -> Solve:
@@ -135,6 +139,7 @@ class PlainBiCGStab:
             system.kernel,
             system.kernel.discount * (system.shared_sum or 0.0),
             system.transpose,
+            self.window,
         )
 
 
@@ -158,7 +163,7 @@ def product(kernel, transpose, constant, p, first, out):
 
 
 @njit(cache=True)
-def bicgstab(kernel, transpose, shared, b, relative):
+def bicgstab(kernel, transpose, shared, b, relative, window):
     """Solve M' y = b by BiCGSTAB.
 
     With rho = first . r: alpha = rho / (first . M' p), s = r - alpha M' p, omega = (s .
@@ -192,7 +197,7 @@ def bicgstab(kernel, transpose, shared, b, relative):
         largest = max(largest, abs(r[i]))
         largest_x = max(largest_x, abs(x[i]))
     while largest > max(goal, PLAIN_RESIDUAL_FLOOR * largest_x):
-        if steps % N_WINDOW_STEPS == 0:
+        if steps % window == 0:
             if not largest <= allowed:
                 return None
             allowed = 0.1 * largest
@@ -230,13 +235,13 @@ def bicgstab(kernel, transpose, shared, b, relative):
 
 
 @njit(cache=True)
-def solve(kernel, shared, transpose, b, relative):
+def solve(kernel, shared, transpose, window, b, relative):
     """Solve M x = b by ``bicgstab`` and add the constant that was taken out.
 
     ``shared`` is gamma s, or 0 where rows differ in their sums.
     """
     over = shared / (1.0 - shared)
     if transpose:
-        return bicgstab(kernel, True, shared, b + over * b.mean(), relative)
-    y = bicgstab(kernel, False, shared, b, relative)
+        return bicgstab(kernel, True, shared, b + over * b.mean(), relative, window)
+    y = bicgstab(kernel, False, shared, b, relative, window)
     return None if y is None else y + over * y.mean()
