@@ -362,6 +362,10 @@ ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importanc
 DoublyRobust(data="episodes")(Problem(GRID, COUNTS), UNIFORM)  ->  importance sampling needs whole episodes
 OffEnvironment("joined")  ->  ratio must be one of 'conditional', 'ratio_of_ratios', 'joint'
 OffEnvironment(3.0)  ->  ratio must be a method's name, a TransitionRatio or a function
+OffEnvironment(adjust="soft")  ->  adjust must be SoftThreshold() or None; it is 'soft'
+OffEnvironment(adjust=True)  ->  adjust must be SoftThreshold() or None; it is True
+OffEnvironment(adjust=SoftThreshold)  ->  adjust must be SoftThreshold() or None
+OffEnvironment(adjust=Shrinkage())  ->  adjust must be SoftThreshold() or None
 OffEnvironment(n_rollouts=10**14, evaluation="monte_carlo")(P, UNIFORM, seed=0)  ->  n_rollouts must be small enough for this
 OffEnvironment(true_ratio(GRID, GRID))(RIGID, UNIFORM)  ->  ratio must have the support of this simulator's transitions
 OffEnvironment(true_ratio(mdp(), mdp()))(P, UNIFORM)  ->  ratio must be for (36, 9) rows and states
@@ -523,6 +527,24 @@ InClass(features=PHI, kernel="gaussian", coordinates=PLACE)  ->  features must b
 InClass(features=np.ones((120, 1)), ridge=1e308).fit(LOG, GRID)  ->  ridge must leave a program that double precision holds
 Quotient(solver=3)  ->  solver must be a name or Sgd(...)
 Quotient(solver=Sgd()).fit(LOG, GRID)  ->  solver "sgd" must have normalized=False
+Conditional(prior=3.0)  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage(); got 3.0
+Conditional(prior=Shrinkage)  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage()
+Conditional(prior=Joint())  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage()
+Conditional(Shrinkage("tilt"), strength=3.0)  ->  strength must be left out where prior is an object: Shrinkage(prior='tilt', ... has its own; got 3.0
+Conditional(Shrinkage("tilt"), strength="evidence")  ->  strength must be left out where prior is an object
+Conditional(NoPrior(), features=PHI)  ->  features must be left out where prior is an object: NoPrior() has its own
+Conditional(Shrinkage(), functions=Network())  ->  prior must be left out with functions=
+Conditional(strength="q")  ->  strength must be one of 'evidence', 'loo'
+Conditional(strength=-1)  ->  strength must be in [0, inf)
+zeta(prior=Shrinkage(), strength=3.0)  ->  strength must be left out where prior is an object
+zeta(method=Conditional(), prior=Shrinkage())  ->  prior must be given to the method object
+Shrinkage("flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+Shrinkage(3.0)  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+Shrinkage(strength="q")  ->  strength must be one of 'evidence', 'loo'
+Shrinkage(strength=np.nan)  ->  strength must be in [0, inf)
+Shrinkage(strength=[1.0])  ->  strength must be a ...
+Shrinkage("simulator", features=PHI)  ->  features must be left out with prior 'simulator', which does not use them
+Shrinkage("none", features=PHI)  ->  features must be left out with prior 'none', which does not use them
 Conditional(ridge=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1e+308, toward 1
 Conditional(ridge=1, toward=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1, toward 1e+308
 Network((0,))  ->  layers[0] must be a positive integer

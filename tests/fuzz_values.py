@@ -335,6 +335,10 @@ def results(values, problem, policies, target, simulator):
         oee.tasks.MonteCarlo(1.0, 0.1, 1.0, 100),
         oee.tasks.discretize(cartpole, cells=(3, 3), closure_episodes=0),
         oee.ratio.Conditional(),
+        oee.ratio.NoPrior(),
+        oee.ratio.PriorRows(np.zeros(3)),
+        oee.shrinkage.Shrinkage(),
+        oee.shrinkage.SoftThreshold(),
         oee.ratio.Sgd(),
         oee.tasks.ParameterFit(
             cartpole, {"gravity": 9.8}, {"gravity": 0.1}, np.zeros(4), {"gravity": 10.0}

@@ -204,6 +204,7 @@ for room in (
     oee.mdp,
     oee.plots,
     oee.ratio,
+    oee.shrinkage,
     oee.simulate,
     oee.tasks,
     oee.testing,

@@ -27,7 +27,7 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
-from oee_tabular.ratio.transition import method_named
+from oee_tabular.shrinkage.transition import method_named
 from oee_tabular.typing import (
     Array,
     Csr,

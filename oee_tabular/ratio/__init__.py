@@ -78,13 +78,17 @@ likelihood ratio by convex risk minimization, IEEE Trans. Information Theory 56(
 2010.
 """
 
+import importlib
+
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.exact_ratio import true_ratio
 from oee_tabular.ratio.features import action_displacement, gaussian
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method
 from oee_tabular.ratio.network import Network
+from oee_tabular.ratio.prior import NoPrior, Prior, PriorRows
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace
@@ -95,7 +99,10 @@ from oee_tabular.ratio.support import (
     uncovered_share,
 )
 from oee_tabular.ratio.ties import Tied
-from oee_tabular.ratio.transition import transition_ratio, true_ratio
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from oee_tabular.shrinkage.transition import transition_ratio as transition_ratio
 
 __all__ = [
     "Assumptions",
@@ -104,6 +111,9 @@ __all__ = [
     "Joint",
     "Method",
     "Network",
+    "NoPrior",
+    "Prior",
+    "PriorRows",
     "Quotient",
     "RatioFit",
     "Sgd",
@@ -119,3 +129,13 @@ __all__ = [
     "true_ratio",
     "uncovered_share",
 ]
+
+if not TYPE_CHECKING:  # type checkers know every name by the imports above
+
+    def __getattr__(name: str) -> object:
+        """Import ``transition_ratio`` on use: its default shrinks, in a room above."""
+        if name != "transition_ratio":
+            raise AttributeError(
+                f"module 'oee_tabular.ratio' has no attribute {name!r}"
+            )
+        return importlib.import_module("oee_tabular.shrinkage").transition_ratio

@@ -22,12 +22,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log, log1p
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from oee_tabular._compiling import njit
 from oee_tabular.mdp.rows import Rows, distinct_rows
+from oee_tabular.ratio.prior import Criterion
 from oee_tabular.typing import Array, IntArray
 
 # The argument from which Stirling's series with four terms errs by less than 1e-13.
@@ -164,7 +165,6 @@ KAPPA_OF_ROUGH_FIT = 50.0
 # Kinds with fewer recorded rows, or fewer transitions, are pooled.
 MIN_ROWS_OF_KIND = 5
 MIN_TRANSITIONS_OF_KIND = 100
-Criterion: TypeAlias = Literal["evidence", "loo"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 
 

@@ -37,7 +37,7 @@ from oee_tabular.exact.values import values_or_zeros
 from oee_tabular.exceptions import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
-from oee_tabular.ratio.prior._ridge import Columns, find_codes
+from oee_tabular.shrinkage._ridge import Columns, find_codes
 from oee_tabular.typing import Array, IntArray
 
 # The largest number of displacements that are directions of their own.

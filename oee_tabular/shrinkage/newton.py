@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular.ratio.prior._ridge import Columns, sum_covariances, tilt_rows
+from oee_tabular.shrinkage._ridge import Columns, sum_covariances, tilt_rows
 from oee_tabular.typing import Array, IntArray
 
 # The largest number of steps of Newton's method.

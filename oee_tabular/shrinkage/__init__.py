@@ -23,3 +23,9 @@ Everything is convex given lambda and kappa;
 both are found by evidence, the simulator's and then the tilt's. Shapes: counts, P, m
 (entries,) on the simulator's entries; theta (1 + A, d); kappa (rows,).
 """
+
+from oee_tabular.shrinkage.prior import Shrinkage
+from oee_tabular.shrinkage.threshold import SoftThreshold
+from oee_tabular.shrinkage.transition import transition_ratio
+
+__all__ = ["Shrinkage", "SoftThreshold", "transition_ratio"]
