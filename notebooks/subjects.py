@@ -69,7 +69,14 @@ SUBJECTS = {
             "SgdTrace",
         ),
         "Priors": ("Prior", "PriorRows", "NoPrior"),
-        "Ratios of two densities": ("density_ratio", "RatioFit", "gaussian"),
+        "Ratios of two densities": (
+            "density_ratio",
+            "RatioFit",
+            "Table",
+            "Linear",
+            "Kernel",
+            "gaussian",
+        ),
         "Support and assumptions": (
             "refuse_unsupported",
             "uncovered_share",

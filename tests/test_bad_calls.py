@@ -406,15 +406,12 @@ OTHERWISE = {
     "unrecorded": ["plot_occupancy"],
     "lower": ["plot_intervals"],
     "upper": ["plot_intervals"],
-    "ridge": ["Conditional", "InClass", "Joint", "Quotient"],
+    "ridge": ["Conditional", "InClass", "Joint"],
     "weights": ["RatioFit", "cartpole_policy", "Discretization.mixture"],
     "method": ["TransitionRatio"],
     "kind": ["Finding"],
     "behavior": ["evaluate_continuous"],
     "n_bootstrap": ["interval", "compare_policies"],
-    "step_size": ["density_ratio"],
-    "batch_size": ["density_ratio"],
-    "n_iterations": ["density_ratio"],
 }
 
 

@@ -179,6 +179,7 @@ class OffEnvironment(RatioEstimator):
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
     @classmethod
+    @suggest_keywords
     def paper(
         cls,
         *,

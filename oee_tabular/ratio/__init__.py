@@ -84,6 +84,7 @@ from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.exact_ratio import true_ratio
 from oee_tabular.ratio.features import action_displacement, gaussian
+from oee_tabular.ratio.functions import Kernel, Linear, Table
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method
@@ -109,6 +110,8 @@ __all__ = [
     "Conditional",
     "InClass",
     "Joint",
+    "Kernel",
+    "Linear",
     "Method",
     "Network",
     "NoPrior",
@@ -118,6 +121,7 @@ __all__ = [
     "RatioFit",
     "Sgd",
     "SgdTrace",
+    "Table",
     "Tied",
     "TransitionRatio",
     "action_displacement",

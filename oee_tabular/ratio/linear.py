@@ -46,13 +46,12 @@ from oee_tabular.ratio.features import (
     move_points,
     standard_gaussian,
 )
+from oee_tabular.ratio.functions import N_CENTERS
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 from oee_tabular.typing import Array, RealArrayLike
 
-# Number of points beyond which a kernel is approximated.
-N_CENTERS = 200
 # Shares of the way to the boundary at which Clarabel's steps end. Short steps stall
 # less: one of 270 random programs stalls at each, none at all three.
 STEP_FRACTIONS = (0.8, 0.7, 0.5)

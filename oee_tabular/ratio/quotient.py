@@ -15,7 +15,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.dual import check_box
+from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
@@ -117,6 +117,8 @@ class Quotient(Method):
                 "solver", f"must be a name or Sgd(...); got {_checks.show(self.solver)}"
             )
         self._refuse_words(self.ridge)
+        if not callable(self.ridge):
+            check_ridge(self.ridge, 1.0)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
