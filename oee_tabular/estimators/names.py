@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
-    from oee_tabular.estimators.base import Estimator
+    from oee_tabular.estimators.estimate import Estimator
     from oee_tabular.estimators.problem import Problem
     from oee_tabular.mdp import FiniteMDP
 

@@ -13,17 +13,15 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import (
-    Estimate,
-    RatioEstimator,
-    RatioOption,
-    coverage,
+from oee_tabular.estimators.errors import (
     effective_sample_size,
     error_or_none,
-    learnable_shares,
     mean_and_error,
 )
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_based import RatioEstimator, RatioOption
+from oee_tabular.estimators.recorded_time import coverage, learnable_shares
 from oee_tabular.estimators.rollouts import (
     carried_rewards,
     normalize_by_episode,
