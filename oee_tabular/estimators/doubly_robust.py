@@ -486,7 +486,7 @@ class EpisodeTerms:
 
     @property
     def total(self) -> float:
-        """Return the value."""
+        """Return the value of the sum."""
         return float(self.partial[:, -1].sum())
 
     def resample(self, draws: IntArray) -> Array:

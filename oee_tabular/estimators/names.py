@@ -40,7 +40,7 @@ class Named:
     needs_target: bool = False
 
     def __call__(self, target: FiniteMDP | None = None) -> Estimator:
-        """Make the estimator."""
+        """Make the estimator with its options."""
         make = attrgetter(self.kind)(importlib.import_module("oee_tabular.estimators"))
         arguments = [target] if self.needs_target else []
         estimator: Estimator = make(*arguments, **self.options)

@@ -115,7 +115,7 @@ class Conditional(Method):
     USES: ClassVar = frozenset({"values_of", "horizon"})
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.instance(self.solver, str, "solver")
         box = check_box(self.lower, self.upper, normalized=True)
         prior = self.prior

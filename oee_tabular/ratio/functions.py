@@ -67,7 +67,7 @@ class Linear:
 
     Notes
     -----
-    Collinear features are solved, with a warning and their rank in ``RatioFit.details``.
+    Collinear features are solved, with a warning; ``RatioFit.details`` has their rank.
 
     Examples
     --------
@@ -81,7 +81,7 @@ class Linear:
     features: RealArrayLike = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Check the features."""
+        """Check that features are finite numbers."""
         array = _checks.float_array(self.features, "features", ndim=(1, 2))
         _checks.require_finite(array, "features")
         if array.size == 0:
@@ -138,7 +138,7 @@ class Kernel:
     n_centers: int = N_CENTERS
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the points, the kernel and the centres."""
         points = _checks.float_array(self.coordinates, "coordinates", ndim=(1, 2))
         _checks.require_finite(points, "coordinates")
         if points.size == 0:

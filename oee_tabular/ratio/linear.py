@@ -291,7 +291,7 @@ class InClass(Method):
     solver: str = "dual"
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.instance(self.solver, str, "solver")
         self._refuse_words(self.ridge)
         if self.kernel is None:

@@ -108,7 +108,7 @@ class Shrinkage:
     features: FeaturesLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the name, the strength and the features."""
         # The first edition called its default "average".
         if isinstance(self.prior, str) and self.prior == "average":
             object.__setattr__(self, "prior", "ridge")

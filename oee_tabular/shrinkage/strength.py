@@ -38,9 +38,9 @@ EQUAL_SHARE = 1e-13
 
 
 class Counts(NamedTuple):
-    """The recorded rows: the kind and n of each, and the ends of its entries with counts.
+    """The recorded rows: the kind and n of each, and where its entries end.
 
-    ``counts`` and ``prior`` are those of the entries.
+    ``counts`` and ``prior`` are those of the entries that have counts.
     """
 
     kind: IntArray
