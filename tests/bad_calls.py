@@ -554,6 +554,14 @@ Conditional(strength="q")  ->  strength must be one of 'evidence', 'loo'
 Conditional(strength=-1)  ->  strength must be in [0, inf)
 zeta(prior=Shrinkage(), strength=3.0)  ->  strength must be left out where prior is an object
 zeta(method=Conditional(), prior=Shrinkage())  ->  prior must be given to the method object
+PriorRows([1.0, -1.0])  ->  kappa[1] must be nonnegative; it is -1
+PriorRows([np.nan])  ->  kappa[0] must be finite
+PriorRows("many")  ->  kappa must be ...
+PriorRows([1.0], fitted=3.0)  ->  fitted must be ...
+PriorRows([1.0], details=3.0)  ->  details must be ...
+Conditional(prior_that_returns(None)).fit(LOG, GRID)  ->  prior must return PriorRows(...) from fit_rows; it returned None
+Conditional(prior_that_returns(PriorRows([1.0]))).fit(LOG, GRID)  ->  prior must return a kappa for each of 36 rows; it
+  returned 1
 Shrinkage("flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
 Shrinkage(3.0)  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
 Shrinkage(strength="q")  ->  strength must be one of 'evidence', 'loo'

@@ -30,7 +30,7 @@ from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.features import FeaturesLike
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network, fit_rows
-from oee_tabular.ratio.prior import Criterion, NoPrior, Prior, PriorName
+from oee_tabular.ratio.prior import Criterion, NoPrior, Prior, PriorName, PriorRows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.typing import Array, Csr
 
@@ -170,6 +170,24 @@ class Conditional(Method):
         assert self.prior is not None
         return self.prior
 
+    def _fit_prior(self, given: RatioInput) -> PriorRows:
+        """Fit the prior's rows; an object that returns something else is an error."""
+        prior = self._make_prior().fit_rows(given, solver=self.solver)
+        found: Any = prior
+        if not isinstance(found, PriorRows):
+            raise ArgumentError(
+                "prior",
+                "must return PriorRows(...) from fit_rows; it returned"
+                f" {_checks.show(found)}",
+            )
+        if len(prior.kappa) != len(given.rows):
+            raise ArgumentError(
+                "prior",
+                f"must return a kappa for each of {len(given.rows)} rows; it returned"
+                f" {len(prior.kappa)}",
+            )
+        return prior
+
     @property
     def uses(self) -> frozenset[str]:
         """Return the inputs that matter: those that the prior uses."""
@@ -216,7 +234,7 @@ class Conditional(Method):
         rows = given.rows
         box = check_box(self.lower, self.upper, normalized=True)
         n_row = rows.sums(observed)
-        prior = self._make_prior().fit_rows(given, solver=self.solver)
+        prior = self._fit_prior(given)
         kappa = prior.kappa
         fitted = prior.fitted
         details = dict(prior.details)

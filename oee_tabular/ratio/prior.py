@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_che
 
 import numpy as np
 
+from oee_tabular import _checks
+from oee_tabular._results import checked
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.typing import Array
 
@@ -25,32 +27,33 @@ PriorName: TypeAlias = Literal["ridge", "tilt", "simulator", "none", "average"]
 Criterion: TypeAlias = Literal["evidence", "loo"]
 
 
-class FittedRows(Protocol):
-    """Rows m of a prior that were fitted to the log by parameters theta (A, d)."""
+class FittedRows:
+    """Base of rows m that were fitted to the log by parameters theta (A, d).
 
-    @property
-    def gap(self) -> float:
-        """Return the certificate of theta, in nats."""
-        ...
+    ``gap`` is the certificate of theta, in nats.
+    """
+
+    gap: float
 
     @property
     def is_finite(self) -> bool:
         """Return whether theta and its precision are finite numbers."""
-        ...
+        raise NotImplementedError
 
     def at(self, rows: Rows) -> Array:
         """Return m on the entries of these rows."""
-        ...
+        raise NotImplementedError
 
     def pull(self, rows: Rows, values: Array) -> Array:
         """Sum values_x d log m_x / d theta over each action's rows, (A, d)."""
-        ...
+        raise NotImplementedError
 
     def variance(self, pull: Array) -> float:
         """Compute the variance of a value from its derivative in theta, (A, d)."""
-        ...
+        raise NotImplementedError
 
 
+@checked(shapes={"kappa": "r"})
 @dataclass(frozen=True, eq=False)
 class PriorRows:
     """The prior of every row, as ``Conditional`` uses it.
@@ -74,6 +77,10 @@ class PriorRows:
     kappa: Array
     fitted: FittedRows | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that each strength is a finite number of at least 0."""
+        _checks.require_nonnegative(self.kappa, "kappa")
 
 
 @runtime_checkable

@@ -47,6 +47,7 @@ import numpy as np
 
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior import FittedRows
 from oee_tabular.ratio.statements import TiltProgram
 from oee_tabular.shrinkage._ridge import (
     Columns,
@@ -70,7 +71,7 @@ N_ROUNDS = (6, 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Tilt:
+class Tilt(FittedRows):
     """A fitted tilt of the simulator's rows.
 
     Attributes
