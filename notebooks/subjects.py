@@ -52,12 +52,11 @@ SUBJECTS = {
         "From occupancies": ("Marginalized", "DualDice"),
         "Continuous tasks": ("calibrate",),
     },
+    "shrinkage": {
+        "The default": ("transition_ratio", "Shrinkage", "SoftThreshold"),
+    },
     "ratio": {
-        "The ratio of transitions": (
-            "transition_ratio",
-            "true_ratio",
-            "TransitionRatio",
-        ),
+        "The ratio of transitions": ("true_ratio", "TransitionRatio"),
         "Methods": (
             "Method",
             "Conditional",
@@ -69,7 +68,15 @@ SUBJECTS = {
             "Sgd",
             "SgdTrace",
         ),
-        "Ratios of two densities": ("density_ratio", "RatioFit", "gaussian"),
+        "Priors": ("Prior", "PriorRows", "NoPrior"),
+        "Ratios of two densities": (
+            "density_ratio",
+            "RatioFit",
+            "Table",
+            "Linear",
+            "Kernel",
+            "gaussian",
+        ),
         "Support and assumptions": (
             "refuse_unsupported",
             "uncovered_share",

@@ -73,13 +73,13 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
         "TransitionRatio",
         "check_assumptions",
         "density_ratio",
-        "transition_ratio",
         "true_ratio",
     ),
     "report": (
         "Report",
         "evaluate",
     ),
+    "shrinkage": ("transition_ratio",),
     "simulate": (
         "sample_episodes",
         "sample_returns",
@@ -103,6 +103,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular import plots as plots
     from oee_tabular import ratio as ratio
     from oee_tabular import report as report
+    from oee_tabular import shrinkage as shrinkage
     from oee_tabular import simulate as simulate
     from oee_tabular import tasks as tasks
     from oee_tabular import testing as testing
@@ -139,10 +140,10 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.ratio import TransitionRatio as TransitionRatio
     from oee_tabular.ratio import check_assumptions as check_assumptions
     from oee_tabular.ratio import density_ratio as density_ratio
-    from oee_tabular.ratio import transition_ratio as transition_ratio
     from oee_tabular.ratio import true_ratio as true_ratio
     from oee_tabular.report import Report as Report
     from oee_tabular.report import evaluate as evaluate
+    from oee_tabular.shrinkage import transition_ratio as transition_ratio
     from oee_tabular.simulate import sample_episodes as sample_episodes
     from oee_tabular.simulate import sample_returns as sample_returns
     from oee_tabular.simulate import sample_transitions as sample_transitions

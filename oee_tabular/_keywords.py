@@ -6,7 +6,8 @@ import dataclasses
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, overload
 
 from oee_tabular.exceptions import UnknownKeywordError
@@ -24,11 +25,20 @@ def suggest_keywords(door: C) -> C: ...
 def suggest_keywords(door: Callable[P, T]) -> Callable[P, T]: ...
 
 
-def suggest_keywords(door: Any) -> Any:
+@overload
+def suggest_keywords(
+    *, renamed: Mapping[str, str]
+) -> Callable[[Callable[P, T]], Callable[P, T]]: ...
+
+
+def suggest_keywords(
+    door: Any = None, *, renamed: Mapping[str, str] | None = None
+) -> Any:
     """Make a function, or the constructor of a class, answer a misspelt keyword well.
 
     A call that succeeds costs a tenth of a microsecond more. A ``TypeError`` that has
-    another reason passes unchanged.
+    another reason passes unchanged. ``renamed`` are keywords of former releases, and
+    what is written in place of each.
 
     >>> @suggest_keywords
     ... def walk(*, horizon=None, seed=None): ...
@@ -36,6 +46,8 @@ def suggest_keywords(door: Any) -> Any:
     Traceback (most recent call last):
     oee_tabular.exceptions.UnknownKeywordError: walk() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
     """
+    if door is None:
+        return lambda function: _wrap(function, function.__name__, renamed)
     if not isinstance(door, type):
         return _wrap(door, door.__name__)
     door.__init__ = _wrap(door.__init__, door.__name__)  # type: ignore[misc]
@@ -57,7 +69,9 @@ def _safe(write: Callable[[Any], str]) -> Callable[[Any], str]:
     return text
 
 
-def _wrap(function: Callable[P, T], name: str) -> Callable[P, T]:
+def _wrap(
+    function: Callable[P, T], name: str, renamed: Mapping[str, str] | None = None
+) -> Callable[P, T]:
     """Return the function with better errors, under the name that a caller knows."""
 
     @functools.wraps(function)
@@ -65,14 +79,17 @@ def _wrap(function: Callable[P, T], name: str) -> Callable[P, T]:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            refuse_unknown(function, name, kwargs)
+            refuse_unknown(function, name, kwargs, renamed or {})
             raise
 
     return call
 
 
 def refuse_unknown(
-    function: Callable[..., object], name: str, keywords: Iterable[str]
+    function: Callable[..., object],
+    name: str,
+    keywords: Iterable[str],
+    renamed: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Raise an ``UnknownKeywordError`` for a keyword that the function lacks."""
     parameters = inspect.signature(function).parameters.values()
@@ -87,7 +104,6 @@ def refuse_unknown(
     ]
     for keyword in keywords:
         if keyword not in inspect.signature(function).parameters:
-            nearest = difflib.get_close_matches(keyword, known, n=1)
-            raise UnknownKeywordError(
-                name, keyword, nearest[0] if nearest else None, known
-            ) from None
+            near = difflib.get_close_matches(keyword, known, n=1)
+            nearest = renamed.get(keyword, near[0] if near else None)
+            raise UnknownKeywordError(name, keyword, nearest, known) from None

@@ -362,6 +362,10 @@ ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importanc
 DoublyRobust(data="episodes")(Problem(GRID, COUNTS), UNIFORM)  ->  importance sampling needs whole episodes
 OffEnvironment("joined")  ->  ratio must be one of 'conditional', 'ratio_of_ratios', 'joint'
 OffEnvironment(3.0)  ->  ratio must be a method's name, a TransitionRatio or a function
+OffEnvironment(adjust="soft")  ->  adjust must be SoftThreshold() or None; it is 'soft'
+OffEnvironment(adjust=True)  ->  adjust must be SoftThreshold() or None; it is True
+OffEnvironment(adjust=SoftThreshold)  ->  adjust must be SoftThreshold() or None
+OffEnvironment(adjust=Shrinkage())  ->  adjust must be SoftThreshold() or None
 OffEnvironment(n_rollouts=10**14, evaluation="monte_carlo")(P, UNIFORM, seed=0)  ->  n_rollouts must be small enough for this
 OffEnvironment(true_ratio(GRID, GRID))(RIGID, UNIFORM)  ->  ratio must have the support of this simulator's transitions
 OffEnvironment(true_ratio(mdp(), mdp()))(P, UNIFORM)  ->  ratio must be for (36, 9) rows and states
@@ -436,31 +440,46 @@ density(upper=0, normalized=False)  ->  upper must be positive:
 density(ridge=1e308, toward=1)  ->  the program must have numbers that double precision holds; ridge 1e+308
 density(ridge=1, toward=1e300, loss="chi2", normalized=False)  ->  the program must have numbers ...; ridge 1 towards 1e+300
 density(solver="dial")  ->  solver must be 'dual' or one of
-density(step_size=0, **SGD)  ->  step_size must be in (0, inf)
-density(batch_size=0, **SGD)  ->  batch_size must be a positive integer
-density(n_iterations=0, **SGD)  ->  n_iterations must be a positive integer
-density(**SGD | {"upper": None})  ->  solver "sgd" must have 0 < lower and a finite upper; the box is [0.1, inf]
-density(**SGD | {"lower": None})  ->  solver "sgd" must have 0 < lower and a finite upper; the box is [0, 9]
-density(**SGD | {"normalized": True})  ->  solver "sgd" must have normalized=False and loss="kl"
-density(loss="chi2", **SGD)  ->  solver "sgd" must have normalized=False and loss="kl"
-density(features=[1, 2])  ->  features must have 3 rows, one for each entry of p
-density(features=[1, np.nan, 2])  ->  features[1] must be finite
-density(features=np.arange(3.0))  ->  features must span a function that is above 0, with sum q g = 1; none is at all points
-density(features=[1, -1, 1])  ->  features must span a function that is at least 0, with sum q g = 1; the nearest misses by
-density(features=[1, -1, 1], lower=0.5, upper=4.0, normalized=False)  ->  features must span ... at least 0.5 and at most 4
-density(features=[1, 1, 1], kernel="gaussian")  ->  kernel must not be given with features
-density(features=[1, 1, 1], toward=1.0)  ->  toward and loss must be left out with features
-density(features=[1, 1, 1], solver="sgd")  ->  solver "sgd" must be left out with features or kernel
-density(features=[1, 1, 1], lower=1.0)  ->  the box of a linear class must have lower < 1 < upper
-density(kernel="gaussian")  ->  coordinates must be given with kernel
-density(coordinates=[1, 2, 3])  ->  coordinates must be given with a kernel
-density(kernel="gaussian", coordinates=[1, 2])  ->  coordinates must have 3 rows, one for each entry of p
-density(kernel="gaussian", coordinates=[0, np.inf, 1])  ->  coordinates[1] must be finite
-density(kernel="rbf", coordinates=[1, 2, 3])  ->  kernel must be one of 'gaussian'
-density(kernel=lambda x, c: np.ones(3), coordinates=[1, 2, 3])  ->  kernel must have 2 dimension(s)
-density(kernel=lambda x, c: 1.0 - 3.0 * (x != c.T), coordinates=[1, 2, 3])  ->  kernel must be symmetric and positive
-density(kernel=lambda x, c: -np.ones((len(x), len(c))), coordinates=[1, 2, 3])  ->  kernel must be positive semidefinite
-density(kernel=lambda x, c: np.zeros((len(x), len(c))), coordinates=[1, 2, 3])  ->  kernel must not be 0 at every point
+Sgd(step_size=0)  ->  step_size must be in (0, inf)
+Sgd(batch_size=0)  ->  batch_size must be a positive integer
+Sgd(n_iterations=0)  ->  n_iterations must be a positive integer
+density(**SGD | {"upper": None})  ->  solver Sgd(...) must have 0 < lower and a finite upper; the box is [0.1, inf]
+density(**SGD | {"lower": None})  ->  solver Sgd(...) must have 0 < lower and a finite upper; the box is [0, 9]
+density(**SGD | {"normalized": True})  ->  solver Sgd(...) must have normalized=False and loss="kl"
+density(loss="chi2", **SGD)  ->  solver Sgd(...) must have normalized=False and loss="kl"
+density(functions=Linear([1, 2]))  ->  features must have 3 rows, one for each entry of p
+density(functions=Linear([1, np.nan, 2]))  ->  features[1] must be finite
+density(functions=Linear(np.arange(3.0)))  ->  features must span a function that is above 0, with sum q g = 1; none is
+  at all points
+density(functions=Linear([1, -1, 1]))  ->  features must span a function that is at least 0, with sum q g = 1; the
+  nearest misses by
+density(functions=Linear([1, -1, 1]), lower=0.5, upper=4.0, normalized=False)  ->  features must span ... at least 0.5
+  and at most 4
+density(functions=Linear([1, 1, 1]), kernel="gaussian")  ->  density_ratio() got an unexpected keyword argument
+  'kernel'. Did you mean 'functions=Kernel(coordinates, kernel)'?
+density(features=[1, 1, 1])  ->  density_ratio() got an unexpected keyword argument 'features'. Did you mean
+  'functions=Linear(features)'?
+density(n_iterations=5)  ->  density_ratio() got an unexpected keyword argument 'n_iterations'. Did you mean
+  'solver=Sgd(n_iterations=...)'?
+density(functions=Linear([1, 1, 1]), toward=1.0)  ->  toward must be left out with functions=Linear(...) or Kernel(...)
+density(functions=Kernel([1, 2, 3]), loss="chi2")  ->  loss must be left out with functions=Linear(...) or Kernel(...)
+density(functions=Linear([1, 1, 1]), solver="sgd")  ->  solver Sgd(...) must be left out with functions=Linear(...)
+density(functions="table")  ->  functions must be Table(), Linear(features) or Kernel(coordinates); got 'table'
+density(functions=Table)  ->  functions must be Table(), Linear(features) or Kernel(coordinates)
+density(functions=Network())  ->  functions must be Table(), Linear(features) or Kernel(coordinates)
+Linear([])  ->  features must have a row for each entry of p; they have shape (0,)
+Linear("ab")  ->  features must be ...
+Kernel([])  ->  coordinates must have a row for each entry of p; they have shape (0,)
+Kernel([1, 2], n_centers=0)  ->  n_centers must be a positive integer
+Kernel([1, 2], bandwidth=1.0)  ->  Kernel() got an unexpected keyword argument 'bandwidth'
+density(functions=Linear([1, 1, 1]), lower=1.0)  ->  the box of a linear class must have lower < 1 < upper
+density(functions=Kernel([1, 2], "gaussian"))  ->  coordinates must have 3 rows, one for each entry of p
+density(functions=Kernel([0, np.inf, 1], "gaussian"))  ->  coordinates[1] must be finite
+density(functions=Kernel([1, 2, 3], "rbf"))  ->  kernel must be one of 'gaussian'
+density(functions=Kernel([1, 2, 3], lambda x, c: np.ones(3)))  ->  kernel must have 2 dimension(s)
+density(functions=Kernel([1, 2, 3], lambda x, c: 1.0 - 3.0 * (x != c.T)))  ->  kernel must be symmetric and positive
+density(functions=Kernel([1, 2, 3], lambda x, c: -np.ones((len(x), len(c)))))  ->  kernel must be positive semidefinite
+density(functions=Kernel([1, 2, 3], lambda x, c: np.zeros((len(x), len(c)))))  ->  kernel must not be 0 at every point
 check_assumptions([-1], [1], lower=0, upper=1)  ->  p[0] must be nonnegative
 
 # ratios of transitions
@@ -522,7 +541,34 @@ InClass()  ->  features must be given
 InClass(features=PHI, kernel="gaussian", coordinates=PLACE)  ->  features must be left out with a kernel
 InClass(features=np.ones((120, 1)), ridge=1e308).fit(LOG, GRID)  ->  ridge must leave a program that double precision holds
 Quotient(solver=3)  ->  solver must be a name or Sgd(...)
-Quotient(solver=Sgd()).fit(LOG, GRID)  ->  solver "sgd" must have normalized=False
+Quotient(solver=Sgd()).fit(LOG, GRID)  ->  solver Sgd(...) must have normalized=False
+Conditional(prior=3.0)  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage(); got 3.0
+Conditional(prior=Shrinkage)  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage()
+Conditional(prior=Joint())  ->  prior must be a name or an object such as oee.shrinkage.Shrinkage()
+Conditional(Shrinkage("tilt"), strength=3.0)  ->  strength must be left out where prior is an object:
+  Shrinkage(prior='tilt', ... has its own; got 3.0
+Conditional(Shrinkage("tilt"), strength="evidence")  ->  strength must be left out where prior is an object
+Conditional(NoPrior(), features=PHI)  ->  features must be left out where prior is an object: NoPrior() has its own
+Conditional(Shrinkage(), functions=Network())  ->  prior must be left out with functions=
+Conditional(strength="q")  ->  strength must be one of 'evidence', 'loo'
+Conditional(strength=-1)  ->  strength must be in [0, inf)
+zeta(prior=Shrinkage(), strength=3.0)  ->  strength must be left out where prior is an object
+zeta(method=Conditional(), prior=Shrinkage())  ->  prior must be given to the method object
+PriorRows([1.0, -1.0])  ->  kappa[1] must be nonnegative; it is -1
+PriorRows([np.nan])  ->  kappa[0] must be finite
+PriorRows("many")  ->  kappa must be ...
+PriorRows([1.0], fitted=3.0)  ->  fitted must be ...
+PriorRows([1.0], details=3.0)  ->  details must be ...
+Conditional(prior_that_returns(None)).fit(LOG, GRID)  ->  prior must return PriorRows(...) from fit_rows; it returned None
+Conditional(prior_that_returns(PriorRows([1.0]))).fit(LOG, GRID)  ->  prior must return a kappa for each of 36 rows; it
+  returned 1
+Shrinkage("flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+Shrinkage(3.0)  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+Shrinkage(strength="q")  ->  strength must be one of 'evidence', 'loo'
+Shrinkage(strength=np.nan)  ->  strength must be in [0, inf)
+Shrinkage(strength=[1.0])  ->  strength must be a ...
+Shrinkage("simulator", features=PHI)  ->  features must be left out with prior 'simulator', which does not use them
+Shrinkage("none", features=PHI)  ->  features must be left out with prior 'none', which does not use them
 Conditional(ridge=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1e+308, toward 1
 Conditional(ridge=1, toward=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1, toward 1e+308
 Network((0,))  ->  layers[0] must be a positive integer

@@ -58,7 +58,8 @@ INNER = {
         # which always refuse
         *("clear", "pop", "popitem", "setdefault", "update"),
     ),
-    "ratio": ("limit", "Method.fit"),
+    "ratio": ("limit", "Method.fit", "fit_rows"),
+    "shrinkage": ("fit_rows", "move"),
 }
 # calls of objects that a task makes for each of its steps, after its checks
 STEPS = ("cartpole_policy", "kinova_policy", "reacher_policy")

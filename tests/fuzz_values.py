@@ -309,12 +309,17 @@ def results(values, problem, policies, target, simulator):
     """Objects that calls return, methods of ratios, and estimators."""
     compared = oee.inference.compare_policies(problem, policies, n_draws=20)
     verdict = oee.testing.Verdict("limit", "held", "x")
-    sgd = {"normalized": False, "lower": 0.1, "upper": 9.0}
+    sgd = {
+        "normalized": False,
+        "lower": 0.1,
+        "upper": 9.0,
+        "solver": oee.ratio.Sgd(n_iterations=5),
+    }
     cartpole = oee.tasks.CartPole()
     league = oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1)
     estimators = [getattr(oee.estimators, name)() for name in ESTIMATORS]
     return [
-        oee.density_ratio([1, 2], [2, 1], solver="sgd", n_iterations=5, **sgd).trace,
+        oee.density_ratio([1, 2], [2, 1], **sgd).trace,
         compared,
         compared.decide(),
         oee.check_assumptions([1, 1], [1, 1], lower=0.5, upper=2.0),
@@ -335,7 +340,14 @@ def results(values, problem, policies, target, simulator):
         oee.tasks.MonteCarlo(1.0, 0.1, 1.0, 100),
         oee.tasks.discretize(cartpole, cells=(3, 3), closure_episodes=0),
         oee.ratio.Conditional(),
+        oee.ratio.NoPrior(),
+        oee.ratio.PriorRows(np.zeros(3)),
+        oee.shrinkage.Shrinkage(),
+        oee.shrinkage.SoftThreshold(),
         oee.ratio.Sgd(),
+        oee.ratio.Table(),
+        oee.ratio.Linear(np.arange(3.0)),
+        oee.ratio.Kernel(np.arange(3.0)),
         oee.tasks.ParameterFit(
             cartpole, {"gravity": 9.8}, {"gravity": 0.1}, np.zeros(4), {"gravity": 10.0}
         ),
@@ -461,7 +473,6 @@ def own_values(known):
         "transition_ratio": dict.fromkeys(ratio_options),
         "InClass": {"features": np.arange(simulator.transitions.nnz) % 3.0, **kernel},
         "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3},
-        "density_ratio": kernel,
         "interval": {"n_bootstrap": 20},
         "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
         "ResidualSimulator": {"log": moves},

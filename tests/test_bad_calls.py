@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -96,6 +97,10 @@ def broken():
 
 def from_env(env, **more):
     return FiniteMDP.from_env(env, samples_per_pair=1, **more)
+
+
+def prior_that_returns(rows):
+    return SimpleNamespace(uses=frozenset(), fit_rows=lambda given, solver: rows)
 
 
 def density(**options):
@@ -209,6 +214,7 @@ for room in (
     oee.mdp,
     oee.plots,
     oee.ratio,
+    oee.shrinkage,
     oee.simulate,
     oee.tasks,
     oee.testing,
@@ -410,15 +416,12 @@ OTHERWISE = {
     "unrecorded": ["plot_occupancy"],
     "lower": ["plot_intervals"],
     "upper": ["plot_intervals"],
-    "ridge": ["Conditional", "InClass", "Joint", "Quotient"],
+    "ridge": ["Conditional", "InClass", "Joint"],
     "weights": ["RatioFit", "cartpole_policy", "Discretization.mixture"],
     "method": ["TransitionRatio"],
     "kind": ["Finding"],
     "behavior": ["evaluate_continuous"],
     "n_bootstrap": ["interval", "compare_policies"],
-    "step_size": ["density_ratio"],
-    "batch_size": ["density_ratio"],
-    "n_iterations": ["density_ratio"],
 }
 
 

@@ -19,7 +19,7 @@ ROOT = Path(oee_tabular.__file__).parents[1]
 TESTS = Path(__file__).parent
 # of packages and of files beside them, the command line's first line on top; at most 14
 # are allowed
-FLOORS = 13
+FLOORS = 14
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 
@@ -83,7 +83,7 @@ def test_no_circle_of_files():
     list(TopologicalSorter(graph).static_order())
 
 
-def test_at_most_thirteen_floors():
+def test_at_most_fourteen_floors():
     """Of packages, which have no circle either; what the core has of the wing it asks
     for by name, on use.
     """

@@ -14,8 +14,18 @@ NAMES = {
         doubly_robust_moments efficiency_bound estimators evaluate exact
         inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
         policy_value ratio record_episodes report return_moments sample_episodes sample_returns sample_transitions
-        simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
+        shrinkage simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
         value_range weighted_return_moments
+    """
+    ),
+    "oee_tabular.ratio": (
+        """
+        Conditional Joint Network Quotient Sgd density_ratio transition_ratio true_ratio
+    """
+    ),
+    "oee_tabular.shrinkage": (
+        """
+        Shrinkage SoftThreshold transition_ratio
     """
     ),
     "oee_tabular.lab.experiments": (

@@ -54,7 +54,8 @@ from oee_tabular.estimators.diagnostics import Diagnostics
 from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
 from oee_tabular.exceptions import ArgumentError, DiscretizationWarning, NoCellsError
-from oee_tabular.ratio import transition_ratio, uncovered_share
+from oee_tabular.ratio import uncovered_share
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, Seed
 
 # A finding tells of a larger share of transitions that start beyond the log's range.

@@ -32,9 +32,9 @@ from oee_tabular.mdp import (
     split_policies,
     uniform_policy,
 )
-from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, PoliciesLike
 
 MAX_NEXT_PAIRS = 10  # that a plan lists

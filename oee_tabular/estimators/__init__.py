@@ -44,10 +44,12 @@ recorded pairs of Var_f(G) / n with G = dJ / dP(s' | s, a)
 OffEnvironment takes the variances under zeta P, and adds Var(G) of each unrecorded pair
 inside the root.
 
-The parts that estimators share are in ``base`` and ``diagnostics``. ``problem`` checks
-the inputs (``rewards``: those of the log), ``functions`` makes estimators of functions
-(``as_estimator``), ``findings`` has the warnings, ``names`` the short names, and
-``calibrated`` removes the error of a discretised task.
+``estimate`` and ``diagnostics`` are what estimators return; ``base`` is their base
+class, ``ratio_based`` that of those that use zeta. ``errors`` has standard errors,
+``recorded_time`` the share of the policy's time that the log has recorded. ``problem``
+checks the inputs (``rewards``: those of the log), ``functions`` makes estimators of
+functions (``as_estimator``), ``findings`` has the warnings, ``names`` the short names,
+and ``calibrated`` removes the error of a discretised task.
 """
 
 from __future__ import annotations
@@ -58,12 +60,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:  # the same for type checkers
     from typing import Any
 
-    from oee_tabular.estimators.base import Estimate as Estimate
-    from oee_tabular.estimators.base import Estimator as Estimator
     from oee_tabular.estimators.calibrated import calibrate as calibrate
     from oee_tabular.estimators.diagnostics import Diagnostics as Diagnostics
     from oee_tabular.estimators.doubly_robust import DoublyRobust as DoublyRobust
     from oee_tabular.estimators.doubly_robust import Magic as Magic
+    from oee_tabular.estimators.estimate import Estimate as Estimate
+    from oee_tabular.estimators.estimate import Estimator as Estimator
     from oee_tabular.estimators.findings import Finding as Finding
     from oee_tabular.estimators.importance_sampling import (
         ImportanceSampling as ImportanceSampling,
@@ -79,10 +81,10 @@ if TYPE_CHECKING:  # the same for type checkers
 # the public names of each file, which is imported on first use: ``oee --help`` needs
 # the table of short names alone
 _NAMES = {
-    "base": "Estimate Estimator",
     "calibrated": "calibrate",
     "diagnostics": "Diagnostics",
     "doubly_robust": "DoublyRobust Magic",
+    "estimate": "Estimate Estimator",
     "findings": "Finding",
     "importance_sampling": "ImportanceSampling",
     "marginalized": "DualDice Marginalized",

@@ -23,7 +23,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
-from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.exceptions import ArgumentError
 
 KINDS = ("ratio", "difference")

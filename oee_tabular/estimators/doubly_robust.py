@@ -10,21 +10,19 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_of_entry, row_sums
-from oee_tabular.estimators.base import (
-    OF_COUNTS,
+from oee_tabular.estimators.base import OF_COUNTS
+from oee_tabular.estimators.errors import (
     ROUNDING,
-    Estimate,
-    RatioEstimator,
-    RatioOption,
-    coverage,
     delta_error,
     effective_sample_size,
     error_or_none,
-    learnable_shares,
     mean_and_error,
 )
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.importance_sampling import Episodes
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_based import RatioEstimator, RatioOption
+from oee_tabular.estimators.recorded_time import coverage, learnable_shares
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
 from oee_tabular.exact import (
     Model,
@@ -487,7 +485,7 @@ class EpisodeTerms:
 
     @property
     def total(self) -> float:
-        """Return the value."""
+        """Return the value of the sum."""
         return float(self.partial[:, -1].sum())
 
     def resample(self, draws: IntArray) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exceptions import AnswerError, ArgumentError
 from oee_tabular.typing import PolicyLike, Seed

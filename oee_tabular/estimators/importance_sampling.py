@@ -15,12 +15,9 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import (
-    Estimate,
-    TabularEstimator,
-    effective_sample_size,
-    mean_and_error,
-)
+from oee_tabular.estimators.base import TabularEstimator
+from oee_tabular.estimators.errors import effective_sample_size, mean_and_error
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import (
     normalize_by_episode,

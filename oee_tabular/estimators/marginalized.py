@@ -12,17 +12,12 @@ from scipy import linalg, sparse
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_sums
-from oee_tabular.estimators.base import (
-    OF_COUNTS,
-    Estimate,
-    RatioEstimator,
-    RatioOption,
-    TabularEstimator,
-    coverage,
-    learnable_shares,
-)
+from oee_tabular.estimators.base import OF_COUNTS, TabularEstimator
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_based import RatioEstimator, RatioOption
+from oee_tabular.estimators.recorded_time import coverage, learnable_shares
 from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import (
     Model,

@@ -11,17 +11,12 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, row_of_entry, row_sums
-from oee_tabular.estimators.base import (
-    OF_COUNTS,
-    ROUNDING,
-    Estimate,
-    TabularEstimator,
-    coverage,
-    delta_error,
-    learnable_shares,
-)
+from oee_tabular.estimators.base import OF_COUNTS, TabularEstimator
+from oee_tabular.estimators.errors import ROUNDING, delta_error
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.findings import MIN_SHARE, Finding
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.recorded_time import coverage, learnable_shares
 from oee_tabular.exact import (
     evaluate_policy,
     policy_value,

@@ -6,12 +6,13 @@ import difflib
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
-    from oee_tabular.estimators.base import Estimator
+    from oee_tabular.estimators.estimate import Estimator
     from oee_tabular.estimators.problem import Problem
     from oee_tabular.mdp import FiniteMDP
 
@@ -23,7 +24,7 @@ class Named:
     Attributes
     ----------
     kind : str
-        The name of the class in ``oee_tabular.estimators``.
+        The name of the class in ``oee_tabular.estimators``, or "Class.constructor".
     meaning : str
         What the estimator does, in a sentence or two.
     options : mapping
@@ -39,8 +40,8 @@ class Named:
     needs_target: bool = False
 
     def __call__(self, target: FiniteMDP | None = None) -> Estimator:
-        """Make the estimator."""
-        make = getattr(importlib.import_module("oee_tabular.estimators"), self.kind)
+        """Make the estimator with its options."""
+        make = attrgetter(self.kind)(importlib.import_module("oee_tabular.estimators"))
         arguments = [target] if self.needs_target else []
         estimator: Estimator = make(*arguments, **self.options)
         return estimator
@@ -79,6 +80,11 @@ NAMED: Mapping[str, Named] = {
         "The paper's quotient of two fitted ratios, each normalised; its rows need not"
         " be probabilities.",
         {"ratio": "ratio_of_ratios"},
+    ),
+    "paper": Named(
+        "OffEnvironment.paper",
+        "The paper's own estimator: the same quotient, not normalised, as products of"
+        " ratios along simulated episodes.",
     ),
     "model-based": Named(
         "ModelBased",
@@ -188,6 +194,7 @@ EstimatorName: TypeAlias = Literal[
     "oee-product-sn",
     "oee-trajectory",
     "ratio-of-ratios",
+    "paper",
     "model-based",
     "fqe",
     "fqe-zero",

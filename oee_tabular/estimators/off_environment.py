@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Literal
@@ -12,17 +13,15 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import (
-    Estimate,
-    RatioEstimator,
-    RatioOption,
-    coverage,
+from oee_tabular.estimators.errors import (
     effective_sample_size,
     error_or_none,
-    learnable_shares,
     mean_and_error,
 )
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_based import RatioEstimator, RatioOption
+from oee_tabular.estimators.recorded_time import coverage, learnable_shares
 from oee_tabular.estimators.rollouts import (
     carried_rewards,
     normalize_by_episode,
@@ -39,26 +38,20 @@ from oee_tabular.exact import (
     weighted_return_moments,
     with_rows,
 )
-from oee_tabular.exceptions import DivergentKernelError
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import horizon_length
-from oee_tabular.ratio import TransitionRatio
+from oee_tabular.ratio import Quotient, TransitionRatio
 from oee_tabular.ratio.method import Population
+from oee_tabular.shrinkage.threshold import Move, SoftThreshold
 from oee_tabular.simulate import draw
 from oee_tabular.typing import Array
 
 NORMAL = NormalDist().inv_cdf(0.975)
-# Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias
-# is b: by s^2 over the variance of that estimate, in standard deviations s [1],
-# interpolated in the logarithm of the ratio; the first, below 1, is a guess.
-VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
-THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
 # distance of the value from maximum likelihood's, in standard errors of their
 # difference, above which a finding reports it
 CONTRADICTION = 2.0
 # details of a ratio that become diagnostics of the value
 DETAILS = ("strength", "meaning", "n_keys")
-# how far the change towards the log goes, in multiples of the smaller of two changes
-MAX_LENGTHENING = 2.0
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
@@ -71,8 +64,12 @@ class OffEnvironment(RatioEstimator):
     ratio zeta = P_target / P to the log, shrunk to a prior, and multiplies the
     simulator's transition probabilities P by it. It computes the policy's value in this
     corrected simulator zeta * P (eq. 4.2). If the log contradicts that value, it moves
-    the value towards the log. The paper's own estimator is
-    ``OffEnvironment(Quotient(normalized=False), evaluation="monte_carlo")``.
+    the value towards the log. The prior and the move are this package's, and
+    ``oee_tabular.shrinkage`` explains them. What the paper has is as short a call::
+
+        OffEnvironment()          our default
+        OffEnvironment.paper()    the paper's own: the quotient of eq. 4.4, and products
+                                  of it along simulated episodes
 
     Parameters
     ----------
@@ -98,6 +95,10 @@ class OffEnvironment(RatioEstimator):
     n_rollouts : int, default 100
         For "monte_carlo": the number of simulated episodes, which are those of
         ``sample_returns``.
+    adjust : SoftThreshold or None, default SoftThreshold()
+        How the exact value moves towards the log where the log contradicts it. None
+        leaves it at J(zeta P). It has no effect without standard errors
+        of zeta: with "monte_carlo", and with ratios that are tied, quotients or given.
 
     Raises
     ------
@@ -110,6 +111,7 @@ class OffEnvironment(RatioEstimator):
     ModelBased : The maximum-likelihood model of the log, without a simulator.
     DoublyRobust : The simulator's value, and the log's residuals on top of it.
     oee_tabular.transition_ratio : The ratio itself.
+    oee_tabular.shrinkage.SoftThreshold : The move towards the log.
 
     Notes
     -----
@@ -123,28 +125,20 @@ class OffEnvironment(RatioEstimator):
 
     Here change is the difference from J(zeta P) to the nearer of two values, the
     one-step value and the maximum-likelihood value; it is 0 if J(zeta P) lies between
-    them. The one-step value is linear in the log's frequencies and can overshoot. The
-    maximum-likelihood value has a large variance if there are few transitions. If the
-    nearer value is more than 2 s away, change is lengthened towards the
-    maximum-likelihood value, which it reaches at 4 s, because the linearisation error
-    then exceeds the sampling error; but it is at most doubled. s is the standard error
-    of the difference of the two values, se that of the one-step value, se_fit that of
-    zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can
-    gain, the more evidence the log needs against it. Its values minimise the largest
-    regret over all biases of the prior [1]_.
+    them. s is the standard error of the difference of the two values, se that of the
+    one-step value, se_fit that of zeta * P if its prior fits.
+    ``shrinkage.SoftThreshold`` says how change and lambda follow.
 
     ``Estimate.standard_error`` is the root of the sum over recorded rows of Var(G) / n
     and over the others of Var(G), with G the derivative of J in zeta * P, and variances
-    under zeta * P; ``interval`` is the value ± 1.96 of it.
+    under zeta * P; ``interval`` is the value ± 1.96 of it. It is that of the one-step
+    value, whatever ``adjust`` is: it has room for a bias of J(zeta P) that the log
+    cannot see. With adjust=None nothing bounds a bias that the log does see, and a
+    finding tells where there is one.
     ``standard_error_if_centre_fits`` is a lower bound: it is the standard error if the
     prior fits, and value ± 1.96 of it covers too seldom elsewhere. With "monte_carlo"
     the standard error is that of the rollouts given zeta, which is too small if weights
     have heavy tails.
-
-    References
-    ----------
-    .. [1] Armstrong, Kline and Sun, Adapting to misspecification,
-       arXiv 2305.14265.
 
     Examples
     --------
@@ -157,6 +151,9 @@ class OffEnvironment(RatioEstimator):
     ...     round(estimate.diagnostics["one_step_value"], 2),
     ... )
     (10.18, 0.17, 10.2)
+    >>> plain = OffEnvironment(adjust=None)(pair.problem(1000, seed=0), pair.policy)
+    >>> round(plain.value, 2)
+    10.15
     """
 
     ratio: RatioOption = "conditional"
@@ -164,13 +161,65 @@ class OffEnvironment(RatioEstimator):
     weighting: Literal["per_decision", "trajectory"] = "per_decision"
     self_normalized: bool = False
     n_rollouts: int = 100
+    adjust: SoftThreshold | None = SoftThreshold()  # noqa: RUF009  it is frozen
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.adjust is not None and not isinstance(self.adjust, SoftThreshold):
+            raise ArgumentError(
+                "adjust",
+                "must be SoftThreshold() or None; it is"
+                f" {_checks.show(self.adjust)} (oee.shrinkage.SoftThreshold)",
+            )
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         _checks.one_of(self.weighting, "weighting", ("per_decision", "trajectory"))
         _checks.boolean(self.self_normalized, "self_normalized")
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
+
+    @classmethod
+    @suggest_keywords
+    def paper(
+        cls,
+        *,
+        lower: float = 0.01,
+        upper: float = 10.0,
+        ridge: float | Callable[[float], float] = 0.0,
+        n_rollouts: int = 100,
+    ) -> OffEnvironment:
+        """Return the paper's own estimator.
+
+        Parameters
+        ----------
+        lower : float, default 0.01
+            The paper's nu, the lower bound on each beta.
+        upper : float, default 10.0
+            The paper's mu, the upper bound on each beta.
+        ridge : float or callable, default 0.0
+            The paper's lambda_n, a number or a function of n; it pulls each beta to 1.
+        n_rollouts : int, default 100
+            The number of simulated episodes.
+
+        Returns
+        -------
+        OffEnvironment
+            The quotient of two density ratios (eq. 4.4), each by eq. 3.7 without the
+            constraint sum q g = 1, and the mean of simulated episodes whose rewards are
+            weighted by products of the quotient (eq. 4.2).
+
+        Examples
+        --------
+        >>> from oee_tabular.testing import case
+        >>> pair = case("ragged")  # a known target: J = 10.07
+        >>> paper = OffEnvironment.paper(n_rollouts=1000)
+        >>> problem = pair.problem(1000, seed=0)
+        >>> estimate = paper(problem, pair.policy, seed=0)
+        >>> round(estimate.value, 1), round(estimate.standard_error, 1)
+        (10.2, 0.4)
+        """
+        quotient = Quotient(lower, upper, ridge, normalized=False)
+        return cls(
+            quotient, adjust=None, evaluation="monte_carlo", n_rollouts=n_rollouts
+        )
 
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
@@ -196,7 +245,7 @@ class OffEnvironment(RatioEstimator):
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)
-        return _estimate_exactly(problem, zeta, policy)
+        return _estimate_exactly(problem, zeta, policy, self.adjust)
 
     @property
     def claims(self) -> frozenset[str]:
@@ -339,12 +388,16 @@ def _estimate_by_default(problem: Problem, policy: Array) -> tuple[Estimate, Arr
         most = max(MAX_KEPT_BYTES // max(rows.nbytes + len(key), 1), 1)
         while len(kept) >= most:
             del kept[next(iter(kept))]
-        kept[key] = _estimate_exactly(problem, zeta, policy), rows
+        estimate = _estimate_exactly(problem, zeta, policy, DEFAULT.adjust)
+        kept[key] = estimate, rows
     return kept[key]
 
 
 def _estimate_exactly(
-    problem: Problem, zeta: TransitionRatio, policy: Array
+    problem: Problem,
+    zeta: TransitionRatio,
+    policy: Array,
+    adjust: SoftThreshold | None,
 ) -> Estimate:
     """Compute J of zeta * P, moved towards the log where its rows sum to 1."""
     model = reweight(problem.model, zeta)
@@ -375,13 +428,17 @@ def _estimate_exactly(
     gradient = transition_gradient(
         model, policy, horizon=problem.horizon, values=result.values, time=time
     )
-    return _move(exact, ml_value, zeta, gradient)
+    return _add_errors(exact, ml_value, zeta, gradient, adjust)
 
 
-def _move(
-    exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array
+def _add_errors(
+    exact: Estimate,
+    ml_value: float | None,
+    zeta: TransitionRatio,
+    gradient: Array,
+    adjust: SoftThreshold | None,
 ) -> Estimate:
-    """Move J(zeta P) towards the log by the soft threshold.
+    """Add standard errors to J(zeta P), and move it towards the log by ``adjust``.
 
     ``ml_value`` is J of the maximum-likelihood model, and ``gradient`` that of J in
     zeta * P. Without standard errors of a fit the estimate stays as it is.
@@ -404,12 +461,15 @@ def _move(
         shared = min(se_fit / step.standard_error, 1.0)
     # the standard error of the difference of the two values
     s = float(step.standard_error * np.sqrt(1.0 - shared**2))
-    change = 0.0
-    if ml_value is not None:
-        change = change_to_log(step.change, ml_value - exact.value, s)
-    rest = min(abs(change), threshold(s, se_fit) * s)
-    share_moved = 1.0 - rest / abs(change) if change else 0.0
-    value = exact.value + share_moved * change
+    move = Move(0.0, 0.0, 0.0)
+    if adjust is not None and ml_value is not None:
+        move = adjust.move(
+            one_step=step.change,
+            likelihood=ml_value - exact.value,
+            s=s,
+            se_fit=se_fit,
+        )
+    value = exact.value + move.amount
     error = float(np.hypot(step.standard_error, step.unrecorded))
     diagnostics = {
         "standard_error_of": "log",
@@ -419,9 +479,9 @@ def _move(
         "one_step_value": exact.value + step.change,
         "one_step_standard_error": error,
         "unrecorded_standard_error": step.unrecorded,
-        "one_step_distance": abs(change) / s if s > 0 else 0.0,
-        "moved": share_moved,
     }
+    if adjust is not None:
+        diagnostics |= {"one_step_distance": move.distance, "moved": move.share}
     warnings: findings.Findings = ()
     if ml_value is not None:
         diagnostics["maximum_likelihood_value"] = ml_value
@@ -442,18 +502,6 @@ def _move(
     )
 
 
-def threshold(s: float, se_fit: float) -> float:
-    """Compute lambda of the soft threshold, in standard errors ``s``.
-
-    ``s`` is the standard error of the difference of the two values, ``se_fit`` that of
-    zeta * P if its prior fits; lambda depends on their ratio.
-    """
-    if not se_fit > 0.0:
-        return THRESHOLDS[-1]
-    logs = np.log(VARIANCE_RATIOS)
-    return float(np.interp(2.0 * np.log(max(s / se_fit, 1e-300)), logs, THRESHOLDS))
-
-
 def _maximum_likelihood_value(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> float | None:
@@ -471,23 +519,3 @@ def _maximum_likelihood_value(
         )
     except DivergentKernelError:
         return None
-
-
-def change_to_log(one_step: float, likelihood: float, s: float) -> float:
-    """Compute the change towards the log, from the changes to two values of it.
-
-    It is the smaller of the two, and 0 if they have different signs. If the smaller is
-    2 to 4 times ``s``, the standard error of the difference, the change goes partly to
-    maximum likelihood's value; beyond that, all the way, but never further than
-    ``MAX_LENGTHENING`` times the smaller. Where one value is a linearisation of the
-    other and they are further apart than that, neither is near the truth: in a log with
-    few transitions, maximum likelihood may never leave a state that was recorded once.
-    """
-    if one_step * likelihood <= 0:
-        return 0.0
-    nearer = min(one_step, likelihood, key=abs)
-    distance = abs(nearer) / s if s > 0 else np.inf
-    share = float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0))
-    change = nearer + share * (likelihood - nearer)
-    limit = MAX_LENGTHENING * abs(nearer)
-    return float(np.clip(change, -limit, limit))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oee_tabular.estimators.base import mean_and_error
+from oee_tabular.estimators.errors import mean_and_error
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate import Drawn, entry_rewards

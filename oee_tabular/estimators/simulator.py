@@ -24,16 +24,12 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import (
-    OF_COUNTS,
-    ROUNDING,
-    Estimate,
-    RatioOption,
-    TabularEstimator,
-    delta_error,
-)
+from oee_tabular.estimators.base import OF_COUNTS, TabularEstimator
+from oee_tabular.estimators.errors import ROUNDING, delta_error
+from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.off_environment import NORMAL, OffEnvironment
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_based import RatioOption
 from oee_tabular.exact import evaluate_policy, occupancy, transition_gradient
 from oee_tabular.mdp import FiniteMDP, total_discount
 from oee_tabular.ratio import true_ratio

@@ -3,7 +3,7 @@
 The target is assumed to be P_theta proportional to P exp(theta . phi) in each row, phi
 the features, or the indicators of the keys under a tie. f(theta) is the negative
 log-likelihood of the counts with a unit Gaussian penalty on standardised directions
-(``ratio.prior.ridge``), theta_hat its minimiser, and the interval holds J(P_theta) over
+(``shrinkage.ridge``), theta_hat its minimiser, and the interval holds J(P_theta) over
 {theta : f(theta) - f(theta_hat) <= c}, c half the chi-square quantile with one degree
 of freedom. An end is found by linearising J (Frank and Wolfe). With g the gradient of J
 at theta_k, theta_{k+1} lies between theta_k and the maximiser of s g . theta over the
@@ -30,12 +30,12 @@ from oee_tabular.exact import policy_value, transition_gradient, with_rows
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio.features import feature_array
-from oee_tabular.ratio.prior._ridge import sum_columns
-from oee_tabular.ratio.prior.directions import Directions, own_directions
-from oee_tabular.ratio.prior.newton import Risk, minimise, penalized_risk
-from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
+from oee_tabular.shrinkage._ridge import sum_columns
+from oee_tabular.shrinkage.directions import Directions, own_directions
+from oee_tabular.shrinkage.newton import Risk, minimise, penalized_risk
+from oee_tabular.shrinkage.ridge import fit_ridge
 from oee_tabular.typing import Array, FrameLike, IntArrayLike, RealArrayLike
 
 # a key for each transition of the simulator: an array, a data frame, or a function of

@@ -1,17 +1,22 @@
-"""Ratios fitted row by row against the known simulator, from shrunk frequencies.
+"""Ratios fitted row by row against the known simulator: eq. 3.7 with q = P.
 
-A row is the distribution of s' in one state-action pair. Its frequencies get
-``strength`` pseudo-counts of a prior row m (the simulator, or its tilt), p = (n + kappa
-m) / (n_sa + kappa), and zeta minimises sum_s' P z - p log z (+ ridge) over the box,
-subject to sum_s' P z = 1. Without ridge and box that is zeta = (n_sas' / P + kappa
-zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet prior.
+A row is the distribution of s' in one state-action pair. Its frequencies are mixed with
+``kappa`` pseudo-counts of a prior row m, p = (n + kappa m) / (n_sa + kappa), and zeta
+minimises sum_s' P z - p log z (+ ridge) over the box, subject to sum_s' P z = 1.
+Without ridge and box that is zeta = (n_sas' / P + kappa m / P) / (n_sa + kappa), the
+posterior mean under a Dirichlet prior. With ``NoPrior`` kappa is 0, the paper's risk.
+
+The prior is an object (``ratio.prior``). Names of priors, strengths and features are
+shorthands for ``oee_tabular.shrinkage.Shrinkage``, which is imported where it is used:
+nothing else of this room knows it.
 """
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, TypeAlias, get_args
 
 import numpy as np
 
@@ -22,27 +27,13 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import check_box, check_ridge
-from oee_tabular.ratio.features import FeaturesLike, count_rank, feature_array
+from oee_tabular.ratio.features import FeaturesLike
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network, fit_rows
-from oee_tabular.ratio.prior.directions import (
-    add_values,
-    make_directions,
-    own_directions,
-    values_in,
-)
-from oee_tabular.ratio.prior.ridge import Tilt, fit_ridge
-from oee_tabular.ratio.prior.strength import (
-    CRITERIA,
-    Criterion,
-    choose_strength,
-    kinds_of_rows,
-    meaning,
-)
+from oee_tabular.ratio.prior import Criterion, NoPrior, Prior, PriorName, PriorRows
 from oee_tabular.ratio.result import Influence, TransitionRatio
-from oee_tabular.typing import Array, Csr, IntArray
+from oee_tabular.typing import Array, Csr
 
-Prior: TypeAlias = Literal["ridge", "tilt", "simulator", "none", "average"]
 RidgeLike: TypeAlias = float | Criterion | Callable[[float], float]
 
 # It replaces a row's weight of 0, by which counts are divided.
@@ -62,27 +53,18 @@ class Conditional(Method):
 
     Parameters
     ----------
-    prior : {'ridge', 'tilt', 'simulator', 'none'}, default 'ridge'
-        The distribution that each pair's is shrunk to: the simulator's, or its
-        conditional exponential tilt, zeta proportional to exp(theta . phi), fitted to
-        all pairs together. 'ridge': phi are all directions made from the simulator, the
-        values of the policies that matter and ``features``, one strength per group by
-        marginal likelihood (``ratio.prior``; 'average' is an older name). 'tilt':
-        ``features`` alone (log P without any), under the penalty theta^2 / 2 on
-        standardised features, a unit Gaussian prior. Neither has to do with the option
-        ``ridge``.
+    prior : Prior, {'ridge', 'tilt', 'simulator', 'none'}, default 'ridge'
+        What each pair's frequencies are mixed with: an object such as
+        ``oee.shrinkage.Shrinkage(...)``, or the name of one of its priors. 'none' is
+        the paper's program, which has none; 'average' is an older name of 'ridge'.
+        None means 'ridge'. It has nothing to do with the option ``ridge``.
     strength : float, 'evidence' or 'loo', default 'evidence'
-        How many transitions the prior is worth in each pair (kappa, the strength of a
-        Dirichlet prior): a nonnegative number, or chosen by marginal likelihood or by
-        leave-one-out, at least 1, one for each kind of pairs (those with the same
-        simulator probabilities; kinds with fewer than 5 recorded pairs or 100
-        transitions are pooled). ``details`` has the choice, its curve and its meaning.
+        How many transitions a named prior is worth in each pair (kappa); as in
+        ``oee.shrinkage.Shrinkage``. Left out where ``prior`` is an object, which has
+        its own.
     features : array-like, data frame or callable, optional
-        Directions of your own for the tilt: an array aligned with
-        ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a
-        function of (s, a, s'), or a data frame (columns state, action, next_state, by
-        number or name, and one a feature). ``oee.ratio.action_displacement`` makes
-        some.
+        Directions of your own for the tilt of a named prior; as in
+        ``oee.shrinkage.Shrinkage``. Left out where ``prior`` is an object.
     lower : float, optional
         Lower bound on zeta. None means 0.
     upper : float, optional
@@ -120,8 +102,8 @@ class Conditional(Method):
     [0.82, 1.18, 0.79, 1.21]
     """
 
-    prior: Prior | None = None
-    strength: float | Criterion = "evidence"
+    prior: PriorName | Prior | None = None
+    strength: float | Criterion | None = None
     features: FeaturesLike | None = field(default=None, repr=False)
     lower: float | None = None
     upper: float | None = None
@@ -133,13 +115,10 @@ class Conditional(Method):
     USES: ClassVar = frozenset({"values_of", "horizon"})
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.instance(self.solver, str, "solver")
         box = check_box(self.lower, self.upper, normalized=True)
         prior = self.prior
-        given: Any = self.prior
-        if given is not None and not isinstance(given, str):
-            _checks.one_of(given, "prior", tuple(PRIORS))
         if self.functions is not None:
             check_network(self)
             if prior not in (None, "none"):
@@ -155,23 +134,64 @@ class Conditional(Method):
                     f" {box.upper:g}]"
                 )
             prior = "none"
-        # The first edition called its default "average".
-        if prior in (None, "average"):
-            prior = "ridge"
-        object.__setattr__(self, "prior", prior)
-        _checks.one_of(prior, "prior", tuple(PRIORS))
-        if self.features is not None and PRIORS[str(prior)] is _no_tilt:
+        if prior is None or isinstance(prior, str):
+            # The first edition called its default "average".
+            named = "ridge" if prior in (None, "average") else prior
+            object.__setattr__(self, "prior", named)
+            if self.strength is None:
+                object.__setattr__(self, "strength", "evidence")
+        else:
+            self._check_object(prior)
+        self._make_prior()
+
+    def _check_object(self, prior: object) -> None:
+        """Raise an error unless the prior is an object that has all its options."""
+        if isinstance(prior, type) or not isinstance(prior, Prior):
             raise ArgumentError(
-                "features",
-                f"must be left out with prior {prior!r}, which does not use them",
+                "prior",
+                "must be a name or an object such as oee.shrinkage.Shrinkage(); got"
+                f" {_checks.show(prior)}",
             )
+        for name in ("strength", "features"):
+            value = getattr(self, name)
+            if value is not None:
+                raise ArgumentError(
+                    name,
+                    f"must be left out where prior is an object: {prior!r} has its own;"
+                    f" got {_checks.show(value)}",
+                )
+
+    def _make_prior(self) -> Prior:
+        """Return the prior as an object; bad options of a named one are an error."""
+        if self.prior == "none" and self.features is None:
+            return NoPrior()
+        if isinstance(self.prior, str):
+            return _shrinkage(self.prior, self.strength, self.features)
+        assert self.prior is not None
+        return self.prior
+
+    def _fit_prior(self, given: RatioInput) -> PriorRows:
+        """Fit the prior's rows; an object that returns something else is an error."""
+        prior = self._make_prior().fit_rows(given, solver=self.solver)
+        found: Any = prior
+        if not isinstance(found, PriorRows):
+            raise ArgumentError(
+                "prior",
+                "must return PriorRows(...) from fit_rows; it returned"
+                f" {_checks.show(found)}",
+            )
+        if len(prior.kappa) != len(given.rows):
+            raise ArgumentError(
+                "prior",
+                f"must return a kappa for each of {len(given.rows)} rows; it returned"
+                f" {len(prior.kappa)}",
+            )
+        return prior
 
     @property
     def uses(self) -> frozenset[str]:
-        """Return the inputs that matter: only the default's directions have values."""
-        if PRIORS[str(self.prior)] is _tilt_along_all:
-            return self.USES
-        return frozenset()
+        """Return the inputs that matter: those that the prior uses."""
+        return self._make_prior().uses
 
     def _refusal(self, name: str) -> str:
         """Return the rule that an unused input breaks."""
@@ -209,18 +229,20 @@ class Conditional(Method):
         return csr_on_pattern(matrix, zeta)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        """Fit the prior, its strength, and then each row's program."""
+        """Fit the prior, and then each row's program."""
         observed = given.observed
         rows = given.rows
         box = check_box(self.lower, self.upper, normalized=True)
         n_row = rows.sums(observed)
-        tilt, details = PRIORS[str(self.prior)](given, self)
-        kappa = self._choose_kappa(given, tilt, details)
+        prior = self._fit_prior(given)
+        kappa = prior.kappa
+        fitted = prior.fitted
+        details = dict(prior.details)
         lam = self._choose_ridge(given, n_row, details)
         center = 0.0
         if self.toward is not None:
             center = _checks.number_in(self.toward, "toward", 0.0, np.inf)
-        details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
+        details |= {"lower": box.lower, "upper": box.upper}
         share = np.divide(
             n_row, n_row + kappa, out=np.zeros_like(n_row), where=n_row > 0
         )
@@ -229,7 +251,7 @@ class Conditional(Method):
         below = np.empty(len(observed))
         above = np.empty(len(observed))
         is_structured = self.solver == "dual"
-        gaps = [0.0 if tilt is None else tilt.gap]
+        gaps = [0.0 if fitted is None else fitted.gap]
         # Blocks of rows keep memory small. A network is trained on all rows together,
         # and a conic solver is called once.
         in_blocks = is_structured and self.functions is None and len(observed) > BLOCK
@@ -238,7 +260,7 @@ class Conditional(Method):
             number = some.number
             at = some.entries
             spread = some.spread
-            m = some.weights if tilt is None else tilt.at(some)
+            m = some.weights if fitted is None else fitted.at(some)
             weight = np.maximum(n_row[number] + kappa[number], SMALLEST_WEIGHT)
             shrunk = (observed[at] + spread(kappa[number]) * m) / spread(weight)
             p = np.where(spread(n_row[number] == 0), m, shrunk)
@@ -270,40 +292,8 @@ class Conditional(Method):
             curvature[at] = np.where(inside, bend, 0.0)
         if is_structured:
             details["enclosure"] = (below, above)
-        influence = Influence(rows, observed, zeta, curvature, share, tilt)
+        influence = Influence(rows, observed, zeta, curvature, share, fitted)
         return given.ratio(zeta, "conditional", max(gaps), details, influence)
-
-    def _choose_kappa(
-        self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]
-    ) -> Array:
-        """Return kappa of each row, (rows,), and add the choice to ``details``.
-
-        It is 0 without a prior.
-        """
-        if self.prior == "none" or not isinstance(self.strength, str):
-            kappa = 0.0
-            if self.prior != "none":
-                kappa = _checks.number_in(self.strength, "strength", 0.0, np.inf)
-            details["strength"] = kappa
-            return np.full(len(given.rows), kappa)
-        _checks.one_of(self.strength, "strength", CRITERIA)
-        rows = given.visited
-        kind = given.get_or_compute(_kinds)
-        counts = given.observed[rows.entries]
-        prior = rows.weights if tilt is None else tilt.at(rows)
-        choice = choose_strength(
-            counts, prior, rows, self.strength, kind=kind[rows.number]
-        )
-        name = "simulator" if tilt is None else "tilt"
-        details |= {
-            "strength": choice.strength,
-            "strength_by": choice.criterion,
-            "strength_score": choice.score,
-            "strength_curve": (choice.grid, choice.curve),
-            "strength_kinds": choice.kinds,
-            "meaning": meaning(choice, rows.sums(counts), name),
-        }
-        return np.asarray(choice.by_kind[kind])
 
     def _choose_ridge(
         self, given: RatioInput, n_row: Array, details: dict[str, Any]
@@ -314,143 +304,26 @@ class Conditional(Method):
         Dirichlet prior.
         """
         if isinstance(self.ridge, str):
-            _checks.one_of(self.ridge, "ridge", CRITERIA)
-            prior = given.rows.weights
-            choice = choose_strength(given.observed, prior, given.rows, self.ridge)
+            _checks.one_of(self.ridge, "ridge", get_args(Criterion))
+            simulator = _shrinkage("simulator", self.ridge, None)
+            chosen = simulator.fit_rows(given, solver=self.solver)
             details |= {
-                "ridge_times_count": choice.strength,
-                "ridge_by": choice.criterion,
+                "ridge_times_count": chosen.details["strength"],
+                "ridge_by": self.ridge,
             }
             return np.divide(
-                choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0
+                chosen.kappa, n_row, out=np.zeros_like(n_row), where=n_row > 0
             )
         sizes, index = np.unique(n_row, return_inverse=True)
         ridges = [check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes]
         return np.array(ridges)[index]
 
 
-def _no_tilt(
-    given: RatioInput, method: Conditional
-) -> tuple[Tilt | None, dict[str, Any]]:
-    """Return no tilt: the prior is the simulator's own rows."""
-    return None, {}
+def _shrinkage(prior: str, strength: object, features: object) -> Prior:
+    """Make the prior that a name stands for.
 
-
-def _tilt_along_features(
-    given: RatioInput, method: Conditional
-) -> tuple[Tilt | None, dict[str, Any]]:
-    """Fit the tilt along the user's features alone, under a unit Gaussian penalty.
-
-    Without features it is along log P.
+    Its room is above this one and is asked for by name, where it is used.
     """
-    features, details = _features(given, method)
-    rows: Rows = given.get_or_compute(_informative)
-    if not len(rows):
-        return None, {}
-    directions = own_directions(given.simulator, features)
-    tilt = fit_ridge(
-        directions,
-        rows,
-        given.observed[rows.entries],
-        None,
-        by_evidence=False,
-        solver=method.solver,
-    )
-    return tilt, details | {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
-
-
-def _tilt_along_all(
-    given: RatioInput, method: Conditional
-) -> tuple[Tilt | None, dict[str, Any]]:
-    """Fit the tilt along all directions, each group's strength by evidence."""
-    rows: Rows = given.get_or_compute(_informative)
-    if not len(rows):
-        return None, {}
-    features, details = _features(given, method)
-    if features is None:
-        tilt = given.get_or_compute(_fit_without_values)
-    else:
-        tilt = _fit_without_values(given, features)
-    values = values_in(given.simulator, given.policies, given.horizon)
-    if values or method.solver != "dual":
-        directions = add_values(tilt.directions, values) if values else tilt.directions
-        kappa = _choice_of_kappa(given)
-        tilt = fit_ridge(
-            directions,
-            rows,
-            given.observed[rows.entries],
-            kappa,
-            start=tilt,
-            solver=method.solver,
-        )
-    choice = {
-        "directions": tilt.named_theta(),
-        "direction_strengths": tilt.named_strengths(),
-        "tilt_gap": tilt.gap,
-    }
-    return tilt, details | choice
-
-
-PRIORS = {
-    "ridge": _tilt_along_all,
-    "tilt": _tilt_along_features,
-    "simulator": _no_tilt,
-    "none": _no_tilt,
-}
-
-
-def _fit_without_values(given: RatioInput, features: Array | None = None) -> Tilt:
-    """Fit the tilt along all directions but V, which do not depend on a policy."""
-    rows: Rows = given.get_or_compute(_informative)
-    if features is None:
-        features = np.zeros((len(given.observed), 0))
-    directions = make_directions(given.simulator, rows, features)
-    return fit_ridge(
-        directions, rows, given.observed[rows.entries], _choice_of_kappa(given)
-    )
-
-
-def _informative(given: RatioInput) -> Rows:
-    """Return the recorded rows with more than one next state.
-
-    The others have no information about the tilt.
-    """
-    return given.visited.select(np.diff(given.visited.indptr) > 1)
-
-
-def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
-    """Return the function that chooses kappa of the informative rows around a model.
-
-    It takes the model's rows, (entries,), and returns kappa, (rows,), from the grid
-    alone: the weights that it is for hardly change beyond.
-    """
-    rows: Rows = given.get_or_compute(_informative)
-    counts = given.observed[rows.entries]
-    kind = given.get_or_compute(_kinds)[rows.number]
-
-    def choose(model: Array) -> Array:
-        """Choose kappa of each row by evidence on the grid."""
-        return choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
-
-    return choose
-
-
-def _kinds(given: RatioInput) -> IntArray:
-    """Return the kind of each row; kinds without recorded rows count as the first."""
-    return kinds_of_rows(given.observed, given.rows)
-
-
-def _features(
-    given: RatioInput, method: Conditional
-) -> tuple[Array | None, dict[str, Any]]:
-    """Return the user's features on the simulator's entries, and their rank.
-
-    Warns where they are collinear within rows.
-    """
-    if method.features is None:
-        return None, {}
-    features = feature_array(method.features, given.simulator)
-    centred = np.sqrt(given.rows.weights)[:, None] * given.rows.center(features)
-    rounding = 1e-12 * np.abs(features).max(axis=0) * np.sqrt(len(features))
-    centred = np.where((centred**2).sum(axis=0) > rounding**2, centred, 0.0)
-    return features, {"feature_rank": count_rank(centred, where=" within rows")}
+    module = importlib.import_module("oee_tabular.shrinkage.prior")
+    made: Prior = module.Shrinkage(prior, strength, features)
+    return made

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,13 +19,32 @@ from oee_tabular._results import checked
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge, check_weights
-from oee_tabular.ratio.features import KernelLike, class_features
-from oee_tabular.ratio.linear import N_CENTERS, fit_cells
+from oee_tabular.ratio.functions import (
+    FunctionClass,
+    Kernel,
+    Linear,
+    Table,
+    check_functions,
+    class_features,
+)
+from oee_tabular.ratio.linear import fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 from oee_tabular.typing import Array, RealArrayLike, Seed
 
 # The largest gap, in nats, of a fit that is called "optimal".
 OPTIMAL_GAP_NATS = 1e-8
+# The default class of functions.
+TABLE = Table()
+# Keywords of the first edition, and what is written in place of each.
+RENAMED = {
+    "features": "functions=Linear(features)",
+    "kernel": "functions=Kernel(coordinates, kernel)",
+    "coordinates": "functions=Kernel(coordinates)",
+    "n_centers": "functions=Kernel(coordinates, n_centers=...)",
+    "step_size": "solver=Sgd(step_size)",
+    "batch_size": "solver=Sgd(batch_size=...)",
+    "n_iterations": "solver=Sgd(n_iterations=...)",
+}
 
 
 @checked(shapes={"ratio": "n"})
@@ -115,7 +134,7 @@ class RatioFit:
         )
 
 
-@suggest_keywords
+@suggest_keywords(renamed=RENAMED)
 @one_thread
 def density_ratio(
     p: RealArrayLike,
@@ -127,14 +146,8 @@ def density_ratio(
     toward: float | None = None,
     normalized: bool = True,
     loss: Literal["kl", "chi2"] = "kl",
+    functions: FunctionClass = TABLE,
     solver: str | Sgd = "dual",
-    features: RealArrayLike | None = None,
-    kernel: KernelLike | None = None,
-    coordinates: RealArrayLike | None = None,
-    n_centers: int = N_CENTERS,
-    step_size: float = 0.1,
-    batch_size: int = 64,
-    n_iterations: int = 10_000,
     seed: Seed = None,
 ) -> RatioFit:
     """Estimate the ratio p/q as the solution of a convex program.
@@ -166,32 +179,18 @@ def density_ratio(
     loss : {'kl', 'chi2'}, default 'kl'
         'kl' is the paper's; 'chi2' is least squares (LSIF [2]), sum q g^2 / 2 - sum p g
         in place of the first two terms.
+    functions : Table, Linear or Kernel, default Table()
+        The class of functions g. ``Table()``: one parameter an entry.
+        ``Linear(features)``: g = Phi w, with ridge/2 times the squared length of w.
+        ``Kernel(coordinates)``: expansions of a kernel, with ridge/2 times the squared
+        norm.
     solver : str or Sgd, default 'dual'
         'dual' (structured, exact; for classes Clarabel), the name of a cvxpy solver
-        ('CLARABEL', 'SCS'), 'sgd' or ``Sgd(...)``: the paper's Algorithm 1, for what
-        training adds to the error (normalized=False, a box with 0 < lower and finite
-        upper).
-    features : array-like of shape (n,) or (n, d), optional
-        Features of the class g = Phi w, for which the ridge is ridge/2 times the
-        squared length of w; within lower <= g <= upper. None means a table: one
-        parameter an entry.
-    kernel : 'gaussian' or callable, optional
-        The kernel whose expansions over the entries are the class; the ridge is that of
-        the squared RKHS norm. 'gaussian' is in standard deviations of the coordinates;
-        a function takes (m, c) and (k, c) points and returns an (m, k) array.
-    coordinates : array-like of shape (n,) or (n, c), optional
-        The points that the entries stand for, with a kernel.
-    n_centers : int, default 200
-        Number of points beyond which the kernel is replaced by its pivoted Cholesky
-        approximation.
-    step_size : float, default 0.1
-        Step size of solver 'sgd'.
-    batch_size : int, default 64
-        Number of draws from each side at an iteration of 'sgd'.
-    n_iterations : int, default 10000
-        Number of iterations of 'sgd'.
+        ('CLARABEL', 'SCS'), or ``Sgd(...)``: the paper's Algorithm 1, for what training
+        adds to the error (tables, normalized=False, a box with 0 < lower and finite
+        upper). 'sgd' is ``Sgd()``.
     seed : int, Generator or None, optional
-        Seed of the draws of 'sgd'.
+        Seed of the draws of ``Sgd``.
 
     Returns
     -------
@@ -218,8 +217,7 @@ def density_ratio(
     Notes
     -----
     Cost: O(n) times a few Newton steps with 'dual'; with features, solved by Clarabel,
-    about forty steps of O(n d^2). Collinear features are solved, with a warning and
-    their rank.
+    about forty steps of O(n d^2).
 
     Examples
     --------
@@ -228,81 +226,39 @@ def density_ratio(
     ([1.5, 0.5], 0.0)
     """
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
-    sgd = solver if isinstance(solver, Sgd) else None
-    if solver == "sgd":
-        sgd = Sgd(step_size, batch_size, n_iterations)
+    method = Sgd() if solver == "sgd" else solver
     _checks.boolean(normalized, "normalized")
-    weights = check_weights(p, q)
-    n = len(weights[0])
-    totals = (float(weights[0].sum()), float(weights[1].sum()))
+    p_weights, q_weights = check_weights(p, q)
+    n = len(p_weights)
+    p_total = float(p_weights.sum())
+    q_total = float(q_weights.sum())
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = check_box(lower, upper, normalized=normalized)
-    strength = check_ridge(ridge, totals[0])
-    in_class = features is not None or kernel is not None
-    if in_class and (toward is not None or loss != "kl"):
-        raise ValueError(
-            "toward and loss must be left out with features or kernel: their program is"
-            " the KL risk + |w|^2"
-        )
-    if in_class and sgd is not None:
-        raise ArgumentError(
-            "solver",
-            '"sgd" must be left out with features or kernel: Algorithm 1 is for tables',
-        )
-    if coordinates is not None and not in_class:
-        raise ArgumentError("coordinates", "must be given with a kernel; none is given")
+    strength = check_ridge(ridge, p_total)
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
+    check_functions(functions)
     # Entries with p = q = 0 are left out, except of a class, which has a value there.
-    known: Any = (weights[0] > 0) | (weights[1] > 0)
-    if in_class or known.all():
-        known = slice(None)
-    ps = weights[0][known] / totals[0]
-    qs = weights[1][known] / totals[1]
-    if toward is not None:
-        curvature = strength * qs
+    known: Any = slice(None)
+    if isinstance(functions, Table):
+        has_weight = (p_weights > 0) | (q_weights > 0)
+        known = known if has_weight.all() else has_weight
     else:
-        # The ridge of a class is on its parameters.
-        curvature = np.full(len(ps), 0.0 if in_class else strength)
+        _check_class(toward, loss, method)
+    ps = p_weights[known] / p_total
+    qs = q_weights[known] / q_total
+    curvature = np.full(len(ps), strength) if toward is None else strength * qs
     program = dual.Coordinates(
         ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2"
     )
-    m = 1.0
-    ends: tuple[Any, Any] = box
-    rest: dict[str, Any] = {}
-    if in_class:
-        _checks.positive_integer(n_centers, "n_centers")
-        matrix, rest["details"] = class_features(
-            features, kernel, coordinates, n_centers, n
-        )
-        w, g, eta, gap = fit_cells(
-            ps, qs, matrix, box, strength, normalized, str(solver)
-        )
-        m = 1.0 + eta
-        rest["weights"] = w
-        penalty = 0.5 * strength * float(w @ w)
-    else:
+    if isinstance(functions, Table):
         _refuse_unbounded(np.arange(n)[known], program, box)
-        whole = np.array([0, len(ps)])
-        if sgd is not None:
-            _check_sgd(box, normalized, loss)
-            g, rest["trace"] = descend(program, *box, sgd, seed)
-        elif solver != "dual":
-            g, multiplier = statements.solve_rows(
-                program, *box, whole if normalized else None, solver=str(solver)
-            )
-            m += float(multiplier.sum())
-        elif normalized:
-            g, multipliers, _, *enclosure = dual.solve_rows(program, *box, whole)
-            m = float(multipliers[0])
-            ends = (enclosure[0], enclosure[1])
-        else:
-            g = dual.solve_free(program, *box)
-            ends = (g, g)
-        multiplier_plus_one = np.array([m]) if normalized else None
-        gap = float(dual.row_gaps(program, g, multiplier_plus_one, *box, whole)[0])
-        with np.errstate(over="ignore", invalid="ignore"):
-            penalty = program.penalty(g)
-    if not (np.isfinite(g).all() and np.isfinite([gap, penalty]).all()):
+        found = _solve_table(program, box, normalized, method, seed)
+    else:
+        # The ridge of a class is on its parameters.
+        program = program._replace(curvature=np.zeros(n))
+        found = _solve_class(program, box, normalized, functions, strength, method)
+    g = found.ratio
+    if not (np.isfinite(g).all() and np.isfinite([found.gap, found.penalty]).all()):
         raise ValueError(
             "the program must have numbers that double precision holds; ridge"
             f" {strength:g} towards {center:g} in the box [{box.lower:g},"
@@ -314,26 +270,118 @@ def density_ratio(
     above = ratio.copy()
     risk = program.risk(g)
     ratio[known] = g
-    below[known] = ends[0]
-    above[known] = ends[1]
-    status = f"inaccurate: the gap is {gap:.1e}"
-    if gap <= OPTIMAL_GAP_NATS:
+    below[known] = found.below
+    above[known] = found.above
+    status = f"inaccurate: the gap is {found.gap:.1e}"
+    if found.gap <= OPTIMAL_GAP_NATS:
         status = "optimal"
     return RatioFit(
         ratio=_checks.freeze(ratio),
-        objective=risk + penalty,
-        dual_bound=risk + penalty - gap,
-        gap=gap,
-        normalizer=m - 1.0,
+        objective=risk + found.penalty,
+        dual_bound=risk + found.penalty - found.gap,
+        gap=found.gap,
+        normalizer=found.multiplier,
         # Least squares estimate no KL divergence.
         divergence=float("nan") if program.squares else 1.0 - risk,
         n_undetermined=n - len(ps),
-        p_total=totals[0],
-        q_total=totals[1],
+        p_total=p_total,
+        q_total=q_total,
         status=status,
+        trace=found.trace,
+        weights=found.weights,
+        details=found.details,
         enclosure=(below, above),
-        **rest,
     )
+
+
+class _Solution(NamedTuple):
+    """A solved program: g, the multiplier of sum q g = 1, the gap and the penalty.
+
+    The exact minimiser is between ``below`` and ``above``.
+    """
+
+    ratio: Array
+    multiplier: float
+    gap: float
+    penalty: float
+    below: Array | float
+    above: Array | float
+    details: dict[str, Any]
+    trace: SgdTrace | None = None
+    weights: Array | None = None
+
+
+def _solve_table(
+    program: dual.Coordinates,
+    box: Box,
+    normalized: bool,
+    method: str | Sgd,
+    seed: Seed,
+) -> _Solution:
+    """Solve the program of a table by its dual, by cvxpy or by Algorithm 1."""
+    whole = np.array([0, len(program.p)])
+    # m is the multiplier of sum q g = 1, plus 1.
+    m = 1.0
+    below: Array | float = box.lower
+    above: Array | float = box.upper
+    trace = None
+    if isinstance(method, Sgd):
+        _check_sgd(box, normalized, program.squares)
+        g, trace = descend(program, *box, method, seed)
+    elif method != "dual":
+        g, multiplier = statements.solve_rows(
+            program, *box, whole if normalized else None, solver=method
+        )
+        m += float(multiplier.sum())
+    elif normalized:
+        solution = dual.solve_rows(program, *box, whole)
+        g = solution.ratio
+        m = float(solution.m[0])
+        below = solution.below
+        above = solution.above
+    else:
+        g = dual.solve_free(program, *box)
+        below = g
+        above = g
+    multiplier_plus_one = np.array([m]) if normalized else None
+    gap = float(dual.row_gaps(program, g, multiplier_plus_one, *box, whole)[0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        penalty = program.penalty(g)
+    return _Solution(g, m - 1.0, gap, penalty, below, above, {}, trace)
+
+
+def _solve_class(
+    program: dual.Coordinates,
+    box: Box,
+    normalized: bool,
+    functions: Linear | Kernel,
+    ridge: float,
+    method: str | Sgd,
+) -> _Solution:
+    """Solve the program over a linear or kernel class."""
+    matrix, details = class_features(functions, len(program.p))
+    w, g, eta, gap = fit_cells(
+        program.p, program.q, matrix, box, ridge, normalized, str(method)
+    )
+    penalty = 0.5 * ridge * float(w @ w)
+    return _Solution(g, eta, gap, penalty, *box, details, weights=w)
+
+
+def _check_class(toward: float | None, loss: str, method: str | Sgd) -> None:
+    """Raise an error for an option that linear and kernel classes cannot have."""
+    for name, value, default in (("toward", toward, None), ("loss", loss, "kl")):
+        if value != default:
+            raise ArgumentError(
+                name,
+                "must be left out with functions=Linear(...) or Kernel(...), whose"
+                f" program is the KL risk + ridge/2 |w|^2; got {_checks.show(value)}",
+            )
+    if isinstance(method, Sgd):
+        raise ArgumentError(
+            "solver",
+            "Sgd(...) must be left out with functions=Linear(...) or Kernel(...):"
+            " Algorithm 1 is for tables",
+        )
 
 
 def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
@@ -349,20 +397,20 @@ def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
         )
 
 
-def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
+def _check_sgd(box: Box, normalized: bool, squares: bool) -> None:
     """Raise an error for what Algorithm 1 cannot solve.
 
     It minimises the KL risk alone, in a box that keeps its gradients bounded.
     """
-    if normalized or loss != "kl":
+    if normalized or squares:
         raise ArgumentError(
             "solver",
-            '"sgd" must have normalized=False and loss="kl": Algorithm 1 knows no other'
-            " program",
+            'Sgd(...) must have normalized=False and loss="kl": Algorithm 1 knows no'
+            " other program",
         )
     if not (box.lower > 0.0 and np.isfinite(box.upper)):
         raise ArgumentError(
             "solver",
-            '"sgd" must have 0 < lower and a finite upper; the box is'
+            "Sgd(...) must have 0 < lower and a finite upper; the box is"
             f" [{box.lower:g}, {box.upper:g}]",
         )

@@ -171,47 +171,6 @@ def check_kernel(kernel: object) -> None:
         _checks.one_of(kernel, "kernel", ("gaussian",))
 
 
-def class_features(
-    features: RealArrayLike | None,
-    kernel: KernelLike | None,
-    coordinates: RealArrayLike | None,
-    n_centers: int,
-    n: int,
-) -> tuple[Array, dict[str, Any]]:
-    """Return the (n, d) features of n cells, and their part of a result's details.
-
-    They are the user's, or made from a kernel on the cells' coordinates.
-    """
-    if features is not None:
-        for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
-            if value is not None:
-                raise ArgumentError(
-                    name,
-                    "must not be given with features; the two are different classes",
-                )
-        array = _checks.float_array(features, "features", ndim=(1, 2))
-        if len(array) != n or array.size == 0:
-            raise ArgumentError(
-                "features",
-                f"must have {n} rows, one for each entry of p; they have shape"
-                f" {array.shape}",
-            )
-        _checks.require_finite(array, "features")
-        array = array.reshape(n, -1)
-        return array, {"feature_rank": count_rank(array)}
-    if coordinates is None:
-        raise ArgumentError(
-            "coordinates",
-            "must be given with kernel: the points that the entries of p and q"
-            " stand for",
-        )
-    points = _check_points(coordinates, n, "one for each entry of p")
-    check_kernel(kernel)
-    function = kernel if callable(kernel) else standard_gaussian(points)
-    space = kernel_features(points, function, n_centers)
-    return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
-
-
 def count_rank(features: Array, *, where: str = "") -> int:
     """Return the number of independent columns, and warn where some are collinear.
 

@@ -107,7 +107,7 @@ class Joint(Method):
     USES: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.instance(self.solver, str, "solver")
         self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=True)

@@ -46,13 +46,12 @@ from oee_tabular.ratio.features import (
     move_points,
     standard_gaussian,
 )
+from oee_tabular.ratio.functions import N_CENTERS
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 from oee_tabular.typing import Array, RealArrayLike
 
-# Number of points beyond which a kernel is approximated.
-N_CENTERS = 200
 # Shares of the way to the boundary at which Clarabel's steps end. Short steps stall
 # less: one of 270 random programs stalls at each, none at all three.
 STEP_FRACTIONS = (0.8, 0.7, 0.5)
@@ -292,7 +291,7 @@ class InClass(Method):
     solver: str = "dual"
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.instance(self.solver, str, "solver")
         self._refuse_words(self.ridge)
         if self.kernel is None:

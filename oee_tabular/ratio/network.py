@@ -112,7 +112,7 @@ class Network:
     optimizer: Optimizer = "adam"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
+        """Check the settings of training."""
         widths = _checks.collection(
             self.layers, "layers", "a collection of widths of hidden layers"
         )

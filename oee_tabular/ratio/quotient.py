@@ -15,7 +15,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.dual import check_box
+from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
@@ -110,13 +110,15 @@ class Quotient(Method):
         return "ratio_of_ratios"
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
             raise ArgumentError(
                 "solver", f"must be a name or Sgd(...); got {_checks.show(self.solver)}"
             )
         self._refuse_words(self.ridge)
+        if not callable(self.ridge):
+            check_ridge(self.ridge, 1.0)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
@@ -134,8 +136,8 @@ class Quotient(Method):
         observed = given.observed
         rows = given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
-        cells_of_moves = (rows.spread(rows.number), rows.arrival)
-        moves = self._beta(observed, expected, cells_of_moves, given)
+        cells = (rows.spread(rows.number), rows.arrival)
+        transitions = self._beta(observed, expected, cells, given)
         observed_pairs = rows.sums(observed)
         expected_pairs = rows.sums(expected)
         pairs = self._beta(observed_pairs, expected_pairs, (rows.number,), given)
@@ -144,22 +146,22 @@ class Quotient(Method):
         if self.functions is not None:
             # A network has a value everywhere.
             undetermined[:] = False
-        quotient = moves.ratio / np.where(below > 0, below, 1.0)
+        quotient = transitions.ratio / np.where(below > 0, below, 1.0)
         zeta = np.where(undetermined, 1.0, quotient)
         lowest = self.lower or 0.0
         highest = np.inf if self.upper is None else self.upper
-        at_the_box = (moves.ratio <= lowest) | (moves.ratio >= highest)
+        at_the_box = (transitions.ratio <= lowest) | (transitions.ratio >= highest)
         details = {
             "lower": self.lower,
             "upper": self.upper,
             "undetermined_moves": int(undetermined.sum()),
             "share_at_the_box": float(np.mean(at_the_box)),
             "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
-            "divergence_moves": moves.divergence,
+            "divergence_moves": transitions.divergence,
             "divergence_pairs": pairs.divergence,
-            "beta": (moves, pairs),
+            "beta": (transitions, pairs),
         }
-        gap = max(moves.gap, pairs.gap)
+        gap = max(transitions.gap, pairs.gap)
         return given.ratio(zeta, self._name, gap, details)
 
     def _beta(

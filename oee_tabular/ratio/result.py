@@ -21,7 +21,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exact import exponent
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, Rows
-from oee_tabular.ratio.prior.ridge import Tilt
+from oee_tabular.ratio.prior import FittedRows
 from oee_tabular.typing import Array, BoolArray, Csr, RealArrayLike
 
 
@@ -227,11 +227,11 @@ class TransitionRatio:
         """Return whether zeta, its gap and its errors are finite numbers."""
         numbers: list[Array] = [self.values.data, np.asarray(self.gap)]
         if self._influence is not None:
-            tilt = self._influence.tilt
             if self._influence.information is not None:
                 numbers.append(self._influence.information)
-            if tilt is not None:
-                numbers += [tilt.theta, tilt.covariances]
+            fitted = self._influence.prior
+            if fitted is not None and not fitted.is_finite:
+                return False
         return all(np.isfinite(x).all() for x in numbers)
 
     @one_thread
@@ -359,8 +359,8 @@ class Influence:
         p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is 0).
     share : ndarray of shape (rows,)
         Weight of the data in a row, n_sa / (n_sa + kappa).
-    tilt : Tilt or None
-        The tilt of the prior's rows, where it is fitted.
+    prior : FittedRows or None
+        The prior's rows, where they are fitted to the log.
     scores : ndarray of shape (entries, d) or None
         d log zeta / d parameters of a class that all rows share.
     information : ndarray of shape (d, d) or None
@@ -372,7 +372,7 @@ class Influence:
     ratio: Array
     curvature: Array
     share: Array
-    tilt: Tilt | None = None
+    prior: FittedRows | None = None
     scores: Array | None = None
     information: Array | None = None
 
@@ -387,7 +387,7 @@ class Influence:
         For a class it is sqrt(sum_rows n Var(psi)), psi = d value / d (one more
         observation). Else it is sqrt(sum_rows share^2 Var(d) / n + p' H^-1 p), d = d
         value / d frequencies, p and H the derivative in the tilt's parameters, through
-        the rows' share of the tilt, and their information. Variances are those under
+        the rows' share of the prior, and their information. Variances are those under
         the frequencies.
         """
         total = 0.0
@@ -406,13 +406,13 @@ class Influence:
                 psi += self.scores[rows.entries] @ step
             frequencies = rows.frequencies(self.counts[rows.entries])
             total += float(np.sum(n * rows.variance(frequencies, psi)))
-        if self.tilt is not None:
+        if self.prior is not None:
             pull: Any = 0.0
             for rows in self.rows.blocks():
                 prior_share = rows.spread(1.0 - self.share[rows.number])
                 free = prior_share * self._by_probability(gradient, rows)
-                pull = pull + self.tilt.pull(rows, free * self.tilt.at(rows))
-            total += self.tilt.variance(pull)
+                pull = pull + self.prior.pull(rows, free * self.prior.at(rows))
+            total += self.prior.variance(pull)
         return float(np.sqrt(total))
 
     def maximum_likelihood_rows(self) -> Array:

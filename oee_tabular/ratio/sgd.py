@@ -61,7 +61,7 @@ class Sgd:
     n_iterations: int = 10_000
 
     def __post_init__(self) -> None:
-        """Check the settings."""
+        """Check the settings of training."""
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
         _checks.positive_integer(self.batch_size, "batch_size")
         _checks.positive_integer(self.n_iterations, "n_iterations")

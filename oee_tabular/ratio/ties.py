@@ -94,7 +94,7 @@ class Tied(Method):
     strength: float = 3.0
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the method's options."""
         if self.tie is None:
             raise ArgumentError(
                 "tie",

@@ -32,11 +32,11 @@ from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp import Names
 from oee_tabular.plots import draw_or_warn
-from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.report.files import plain
 from oee_tabular.report.tables import diagnostic_columns
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, BoolArray
 
 if TYPE_CHECKING:

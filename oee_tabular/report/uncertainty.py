@@ -31,8 +31,8 @@ from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.intervals import interval_without_search
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
-from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, BoolArray
 
 # reachable transitions, beyond which likelihood intervals take many minutes and are

@@ -25,7 +25,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
-from oee_tabular.estimators.base import UNEXPLAINED
+from oee_tabular.estimators.estimate import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator, is_number
 from oee_tabular.exceptions import AnswerError, ArgumentError
 from oee_tabular.mdp import FiniteMDP

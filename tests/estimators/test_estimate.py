@@ -22,8 +22,8 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
-from oee_tabular.estimators.base import effective_sample_size, mean_and_error
 from oee_tabular.estimators.calibrated import calibrate
+from oee_tabular.estimators.errors import effective_sample_size, mean_and_error
 from oee_tabular.estimators.names import named_estimators
 
 

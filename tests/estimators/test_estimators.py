@@ -26,7 +26,6 @@ from oee_tabular.estimators import (
     Simulator,
 )
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.estimators.off_environment import threshold
 
 
 def grids(size=5, **options):
@@ -183,6 +182,9 @@ def test_short_names_and_what_they_stand_for():
         OffEnvironment(evaluation="monte_carlo", self_normalized=True),
         OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
         OffEnvironment(ratio="ratio_of_ratios"),
+        OffEnvironment(
+            oee.ratio.Quotient(normalized=False), evaluation="monte_carlo", adjust=None
+        ),
         ModelBased(),
         ModelBased("simulator"),
         ModelBased("zero"),
@@ -208,6 +210,7 @@ def test_short_names_and_what_they_stand_for():
         "oee-product-sn",
         "oee-trajectory",
         "ratio-of-ratios",
+        "paper",
         "model-based",
         "fqe",
         "fqe-zero",
@@ -405,37 +408,3 @@ def test_one_record_is_enough_where_there_is_one_next_state():
     # of the time before the end: 1 in state 0, .5 in state 1
     assert_allclose(found.diagnostics["single_share"], 1 / 3)
     assert_allclose(found.measured, 2 / 3)
-
-
-# lambda of the soft threshold by the ratio of the variances (s / se_fit)^2
-LAMBDAS = {0.3: 0.55, 1.0: 0.73, 5.0: 0.98, 10.0: 1.12, 30.0: 1.38, 100.0: 1.70}
-
-
-@pytest.mark.parametrize("unit", [1.0, 1e-120, 1e120])
-def test_the_soft_threshold_is_chosen_by_the_ratio_of_variances(unit):
-    for ratio, expected in LAMBDAS.items():
-        assert threshold(ratio**0.5 * unit, unit) == pytest.approx(expected)
-    # halfway between two of them, in logarithms
-    assert threshold(50.0**0.25 * unit, unit) == pytest.approx((0.98 + 1.12) / 2)
-    # beyond the table its ends
-    assert threshold(0.01 * unit, unit) == 0.55
-    assert threshold(0.0, unit) == 0.55
-    assert threshold(1e3 * unit, unit) == 1.70
-    assert threshold(unit, 0.0) == 1.70
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_value_stops_at_the_threshold_of_its_own_variances(seed):
-    """What is left of the change is lambda s, with s and lambda from the diagnostics."""
-    pair = oee.testing.case("ragged")
-    problem = pair.problem(300, seed=seed)
-    found = OffEnvironment()(problem, pair.policy)
-    facts = found.diagnostics
-    moved = facts["moved"]
-    assert 0.0 < moved < 1.0
-    change = (found.value - facts["model_value"]) / moved
-    s = abs(change) / facts["one_step_distance"]
-    ratios, lambdas = map(list, (LAMBDAS, LAMBDAS.values()))
-    ratio = (s / facts["standard_error_if_centre_fits"]) ** 2
-    expected = np.interp(np.log(ratio), np.log(ratios), lambdas)
-    assert (1.0 - moved) * abs(change) / s == pytest.approx(expected, rel=1e-6)

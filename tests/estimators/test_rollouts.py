@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.estimators import OffEnvironment, Oracle
-from oee_tabular.estimators.base import effective_sample_size
+from oee_tabular.estimators.errors import effective_sample_size
 from oee_tabular.estimators.rollouts import rollout_horizon
 
 KINDS = ("per_decision", "trajectory")

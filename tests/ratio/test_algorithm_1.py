@@ -93,10 +93,7 @@ def test_algorithm_1_step_by_step():
     found = oee.density_ratio(
         p,
         q,
-        solver="sgd",
-        step_size=0.05,
-        batch_size=16,
-        n_iterations=60,
+        solver=Sgd(0.05, batch_size=16, n_iterations=60),
         seed=4,
         **options,
     )

@@ -207,7 +207,7 @@ def test_a_class_is_certified_at_the_weights_that_are_handed_over(
     q = np.ones(30)
     features = np.column_stack([np.ones(30), x])
     options = {
-        "features": features,
+        "functions": oee.ratio.Linear(features),
         "lower": 0.05,
         "upper": 9.0,
         "ridge": ridge,

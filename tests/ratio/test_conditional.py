@@ -13,7 +13,7 @@ from scipy import optimize, sparse, special
 from scipy.special import gammaln
 
 import oee_tabular as oee
-from oee_tabular.ratio.prior.strength import StrengthChoice, meaning
+from oee_tabular.shrinkage.strength import StrengthChoice, meaning
 
 
 def test_the_tilt_s_prior_row_and_strength():

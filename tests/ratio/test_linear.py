@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
+from oee_tabular.ratio import Kernel, Linear
 
 LINE = np.linspace(-3.0, 3.0, 40)
 Q = np.exp(-(LINE**2) / 2)
@@ -18,7 +19,7 @@ QUADRATIC = np.column_stack([np.ones(40), LINE, LINE**2])
 
 
 def random_program(rng):
-    """p, q, features with a constant, and options for ``density_ratio``."""
+    """p, q, a class with a constant, and options for ``density_ratio``."""
     n = int(rng.integers(8, 40))
     phi = np.column_stack([np.ones(n), rng.normal(size=(n, int(rng.integers(1, 5))))])
     p = rng.integers(0, 5, n) + 0.0
@@ -28,7 +29,7 @@ def random_program(rng):
         p,
         q,
         {
-            "features": phi,
+            "functions": Linear(phi),
             "lower": float(rng.choice([0.0, 10 ** rng.uniform(-3, -0.5)])),
             "upper": float(rng.choice([np.inf, 10 ** rng.uniform(0.3, 2)])),
             "normalized": bool(rng.random() < 0.6),
@@ -38,7 +39,7 @@ def random_program(rng):
 
 
 def value(w, p, q, options):
-    g = options["features"] @ w
+    g = options["functions"].features @ w
     seen = p > 0
     return (
         (q @ g) / q.sum()
@@ -52,7 +53,7 @@ def value(w, p, q, options):
 def test_no_feasible_point_is_better_by_more_than_the_gap(rng):
     p, q, options = random_program(rng)
     fit = oee.density_ratio(p, q, **options)
-    g = options["features"] @ fit.weights
+    g = options["functions"].features @ fit.weights
     assert 0 <= fit.gap < 1e-9
     assert_allclose(fit.ratio, g, atol=1e-9)
     assert (fit.ratio >= options["lower"]).all()
@@ -62,7 +63,7 @@ def test_no_feasible_point_is_better_by_more_than_the_gap(rng):
         assert_allclose(q @ fit.ratio, q.sum(), rtol=1e-9)
     for size in (1e-6, 1e-4, 1e-2):
         w = fit.weights + size * rng.normal(size=len(fit.weights))
-        g = options["features"] @ w
+        g = options["functions"].features @ w
         if options["normalized"]:
             w = w / (q @ g) * q.sum()
             g = g / (q @ g) * q.sum()
@@ -78,7 +79,7 @@ def test_a_class_has_the_numbers_of_its_program():
     p = np.array([3.0, 1.0, 4.0, 2.0])
     q = np.array([2.0, 2.0, 1.0, 5.0])
     features = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0], [1.0, -1.0]])
-    fit = oee.density_ratio(p, q, features=features, ridge=0.1)
+    fit = oee.density_ratio(p, q, functions=Linear(features), ridge=0.1)
     w = fit.weights
     ps = p / 10
     qs = q / 10
@@ -98,9 +99,7 @@ def test_a_class_has_the_numbers_of_its_program():
         "optimal",
     )
     assert_array_equal(fit.enclosure, [np.zeros(4), np.full(4, np.inf)])
-    kernel = oee.density_ratio(
-        p, q, kernel="gaussian", coordinates=[0.0, 0.1, 0.2, 0.4], ridge=0.1
-    )
+    kernel = oee.density_ratio(p, q, functions=Kernel([0.0, 0.1, 0.2, 0.4]), ridge=0.1)
     assert set(kernel.details) == {"kernel_residual", "centers"}
     size = np.std([0.0, 0.1, 0.2, 0.4])
     gram = np.exp(
@@ -119,12 +118,8 @@ def test_a_class_has_the_numbers_of_its_program():
 )
 @pytest.mark.parametrize("kind", ["features", "kernel"])
 def test_another_solver_has_the_same_minimum(options, kind):
-    given = (
-        {"features": QUADRATIC}
-        if kind == "features"
-        else {"kernel": "gaussian", "coordinates": LINE}
-    )
-    given |= {
+    given = {
+        "functions": Linear(QUADRATIC) if kind == "features" else Kernel(LINE),
         "lower": 0.01,
         **({"ridge": 1 / 300} if kind == "kernel" else {}),
         **options,
@@ -154,30 +149,30 @@ def test_one_feature_an_entry_is_the_table(rng):
         {"normalized": False, "lower": 0.2},
     ):
         table = oee.density_ratio(p, q, **options)
-        fit = oee.density_ratio(p, q, features=np.eye(n), **options)
+        fit = oee.density_ratio(p, q, functions=Linear(np.eye(n)), **options)
         assert_allclose(fit.objective, table.objective, atol=1e-10)
         assert_allclose(fit.ratio, table.ratio, rtol=1e-5)
         assert_allclose(fit.divergence, table.divergence, atol=1e-8)
     # the paper's penalty, sum g^2, is |w|^2 here
     options = {"ridge": 0.3, "normalized": False}
     fits = (
-        oee.density_ratio(p, q, features=np.eye(n), **options),
+        oee.density_ratio(p, q, functions=Linear(np.eye(n)), **options),
         oee.density_ratio(p, q, **options),
     )
     assert_allclose(fits[0].ratio, fits[1].ratio, atol=1e-5)
     bounded = oee.density_ratio(
-        [1, 2, 5], [4, 3, 1], features=np.eye(3), lower=2.0, normalized=False
+        [1, 2, 5], [4, 3, 1], functions=Linear(np.eye(3)), lower=2.0, normalized=False
     )
     assert_allclose(bounded.ratio, [2.0, 2.0, 5.0], rtol=1e-6)
 
 
 def test_a_kernel_that_separates_all_points_is_the_table():
     identity = oee.density_ratio(
-        COUNTS, Q, kernel=lambda x, c: 1.0 * (x == c.T), coordinates=LINE, ridge=0.2
+        COUNTS, Q, functions=Kernel(LINE, lambda x, c: 1.0 * (x == c.T)), ridge=0.2
     )
     assert_allclose(
         identity.ratio,
-        oee.density_ratio(COUNTS, Q, features=np.eye(40), ridge=0.2).ratio,
+        oee.density_ratio(COUNTS, Q, functions=Linear(np.eye(40)), ridge=0.2).ratio,
         atol=1e-8,
     )
 
@@ -188,10 +183,10 @@ def test_collinear_features_are_solved_with_a_warning():
         UserWarning,
         match="features should be linearly independent; they have rank 3 of 4",
     ):
-        twice = oee.density_ratio(COUNTS, Q, features=doubled, lower=0.01)
+        twice = oee.density_ratio(COUNTS, Q, functions=Linear(doubled), lower=0.01)
     assert_allclose(
         twice.ratio,
-        oee.density_ratio(COUNTS, Q, features=QUADRATIC, lower=0.01).ratio,
+        oee.density_ratio(COUNTS, Q, functions=Linear(QUADRATIC), lower=0.01).ratio,
         atol=1e-7,
     )
     assert twice.details["feature_rank"] == 3
@@ -208,7 +203,7 @@ def test_numbers_of_many_scales_end_with_a_status(rng):
     fit = oee.density_ratio(
         p,
         q,
-        features=np.column_stack([np.ones(n), rng.normal(size=n)]),
+        functions=Linear(np.column_stack([np.ones(n), rng.normal(size=n)])),
         lower=0.01,
         upper=100,
     )
@@ -257,12 +252,12 @@ def test_a_class_without_a_minimum():
         RuntimeError,
         match="unbounded, where q = 0 < p; give a ridge or a finite upper bound",
     ):
-        oee.density_ratio([1, 2, 1], [1, 1, 0], features=np.eye(3))
+        oee.density_ratio([1, 2, 1], [1, 1, 0], functions=Linear(np.eye(3)))
 
 
 def test_a_class_that_vanishes_where_p_does():
     assert_allclose(
-        oee.density_ratio([0, 2, 1], [1, 1, 1], features=np.arange(3.0)).ratio,
+        oee.density_ratio([0, 2, 1], [1, 1, 1], functions=Linear(np.arange(3.0))).ratio,
         [0.0, 1.0, 2.0],
         atol=1e-6,
     )

@@ -14,7 +14,10 @@ from oee_tabular.exceptions import ArgumentError, DataWarning, OeeWarning
 from oee_tabular.ratio import (
     Conditional,
     Joint,
+    Kernel,
+    Linear,
     Network,
+    NoPrior,
     Quotient,
     Sgd,
     check_assumptions,
@@ -22,6 +25,7 @@ from oee_tabular.ratio import (
     gaussian,
     transition_ratio,
 )
+from oee_tabular.shrinkage import Shrinkage, SoftThreshold
 from oee_tabular.typing import Array, PolicyLike, Seed
 
 # simulators
@@ -161,7 +165,13 @@ transition_ratio(
 )
 transition_ratio(log, small, values_of=[np.ones((3, 2)) / 2], horizon=4)
 density_ratio([3, 1], [2, 2], solver="SCS", loss="chi2")
-density_ratio([3, 1], np.ones(2), kernel=gaussian(1.0), coordinates=[0, 1])
+density_ratio([3, 1], np.ones(2), functions=Kernel([0, 1], gaussian(1.0)))
+density_ratio([3, 1], np.ones(2), functions=Linear([[1, 0], [1, 1]]), ridge=0.1)
+Conditional(Shrinkage("tilt", 3, [[1.0], [2.0]]))
+Conditional(NoPrior(), upper=2)
+oee.estimators.OffEnvironment(Conditional(), adjust=None)
+oee.estimators.OffEnvironment(adjust=SoftThreshold())(problem, [0, 1])
+oee.estimators.OffEnvironment.paper(upper=5, n_rollouts=10)
 check_assumptions([3, 1], [2, 2], lower=0.1, upper=np.inf)
 Conditional(features=lambda s, a, t: t, prior="ridge")
 Network([32, 32], "tanh", inputs=[0.0, 1.0])

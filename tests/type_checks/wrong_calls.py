@@ -8,11 +8,14 @@ import pandas as pd
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, TransitionCounts, Transitions
+from oee_tabular.estimators import OffEnvironment
 from oee_tabular.mdp import check_policy, displacements, mix, uniform_policy
 from oee_tabular.ratio import (
     Conditional,
     InClass,
     Joint,
+    Kernel,
+    Linear,
     Network,
     Quotient,
     Sgd,
@@ -21,6 +24,7 @@ from oee_tabular.ratio import (
     density_ratio,
     transition_ratio,
 )
+from oee_tabular.shrinkage import Shrinkage
 
 P = [[[0.9, 0.1], [0.6, 0.4]], [[0.5, 0.5], [0.2, 0.8]]]
 mdp = oee.FiniteMDP(P, [[1.0, 0.8], [0.0, 0.2]], initial=0, discount=0.9)
@@ -183,7 +187,12 @@ Sgd("0.1")  # wrong
 density_ratio("ab", [1, 2])  # wrong
 density_ratio([1, 2], [1, 2], loss="l2")  # wrong
 density_ratio([1, 2], [1, 2], solver=3)  # wrong
-density_ratio([1, 2], [1, 2], kernel="gauss", coordinates=[0, 1])  # wrong
+density_ratio([1, 2], [1, 2], functions="table")  # wrong
+Kernel([0, 1], "gauss")  # wrong
+Linear("ab")  # wrong
+Shrinkage("flat")  # wrong
+OffEnvironment(adjust=True)  # wrong
+Conditional(prior=3)  # wrong
 check_assumptions("ab", [2, 2], lower=0.1, upper=1.0)  # wrong
 
 

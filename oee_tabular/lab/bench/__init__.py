@@ -34,7 +34,7 @@ from oee_tabular._progress import is_terminal
 from oee_tabular._results import conform
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
-from oee_tabular.estimators.base import UNEXPLAINED
+from oee_tabular.estimators.estimate import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import ALIASES, named_estimators
 from oee_tabular.estimators.names import names as estimator_names

@@ -69,7 +69,8 @@ from oee_tabular.lab.experiments.common import (
 )
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.plots import label_ends
-from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.ratio import TransitionRatio
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array
 
 DELTAS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)

@@ -50,7 +50,7 @@ from oee_tabular.lab.experiments.cartpole import DELTAS as CARTPOLE_DELTAS
 from oee_tabular.lab.experiments.kinova import arm_of, towards
 from oee_tabular.lab.experiments.reacher import DELTAS as REACHER_DELTAS
 from oee_tabular.lab.experiments.reacher import Even
-from oee_tabular.ratio import transition_ratio
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, IntArray, Seed
 
 DISCOUNT = 0.99

@@ -35,7 +35,8 @@ from oee_tabular.lab.experiment import (
 )
 from oee_tabular.lab.experiments.common import frequencies, published_table
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.ratio import TransitionRatio
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array
 

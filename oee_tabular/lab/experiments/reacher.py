@@ -37,7 +37,7 @@ from oee_tabular.lab.experiments.common import (
     select_deltas,
 )
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import transition_ratio
+from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)

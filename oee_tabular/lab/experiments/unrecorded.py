@@ -35,7 +35,7 @@ from scipy import stats
 
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
-from oee_tabular.estimators.off_environment import NORMAL, threshold
+from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import occupancy, policy_value, reweight
 from oee_tabular.inference import profile_ascent
 from oee_tabular.inference.evidence import Evidence, gather
@@ -53,7 +53,8 @@ from oee_tabular.lab.experiment import (
 )
 from oee_tabular.lab.run import Store, run_and_write
 from oee_tabular.ratio import Conditional, TransitionRatio
-from oee_tabular.ratio.prior.strength import choose_strength
+from oee_tabular.shrinkage.strength import choose_strength
+from oee_tabular.shrinkage.threshold import threshold
 from oee_tabular.typing import Array
 
 SPLIT = {**families_redrawn.SPLIT, **families_unrecorded.SPLIT}
@@ -153,11 +154,11 @@ def parts_of(estimate: Estimate) -> Row:
 def measure_gain(problem: Problem, zeta: TransitionRatio) -> float:
     """Return by how much the log evidence of the tilt is above the simulator's."""
     influence = zeta._influence
-    if influence is None or influence.tilt is None:
+    if influence is None or influence.prior is None:
         return 0.0
     rows = influence.rows
     own = choose_strength(influence.counts, rows.weights, rows)
-    tilted = choose_strength(influence.counts, influence.tilt.at(rows), rows)
+    tilted = choose_strength(influence.counts, influence.prior.at(rows), rows)
     return tilted.score - own.score
 
 

@@ -1,8 +1,8 @@
 """Newton's method for the tilt's risk, and MacKay's rule for its strengths.
 
-f and its parts are those of ``prior.ridge``. f'' is an arrow: its blocks are diag(L_0)
-+ sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the penalty, with one
-block where no action has parameters of its own.
+f and its parts are those of ``shrinkage.ridge``. f'' is an arrow: its blocks are
+diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the penalty,
+with one block where no action has parameters of its own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular.ratio.prior._ridge import Columns, sum_covariances, tilt_rows
+from oee_tabular.shrinkage._ridge import Columns, sum_covariances, tilt_rows
 from oee_tabular.typing import Array, IntArray
 
 # The largest number of steps of Newton's method.
@@ -31,7 +31,7 @@ HYPERPRIOR = 0.25
 
 
 class Risk(NamedTuple):
-    """The weighted counts: ``mass`` w n of each row, ``pulled`` sum w n_x phi_x (A, d)."""
+    """The weighted counts: ``mass`` w n of a row, ``pulled`` sum w n_x phi_x (A, d)."""
 
     mass: Array
     pulled: Array

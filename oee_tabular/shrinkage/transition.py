@@ -1,7 +1,8 @@
 """The ratio of transition probabilities zeta = P_target / P_simulator, from a log.
 
-``transition_ratio`` estimates it (eq. 4.3 of the paper) by any method of this package;
-``true_ratio`` computes it from two models.
+``transition_ratio`` estimates it (eq. 4.3 of the paper) by any method of
+``oee_tabular.ratio``. It stands here because its default shrinks; with
+``method=Quotient(normalized=False)`` it is the paper's.
 """
 
 from __future__ import annotations
@@ -12,21 +13,19 @@ from typing import Any, Literal, TypeAlias, overload
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, Rows
-from oee_tabular.ratio.conditional import Conditional, Prior, RidgeLike
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.conditional import Conditional, RidgeLike
 from oee_tabular.ratio.features import FeaturesLike, KernelLike
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
-from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
+from oee_tabular.ratio.method import Method, SimulatorData
 from oee_tabular.ratio.network import Network
-from oee_tabular.ratio.prior.strength import Criterion
+from oee_tabular.ratio.prior import Criterion, Prior, PriorName
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
-from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.ties import Tied, TieLike
 from oee_tabular.typing import PolicyLike, RealArrayLike, Seed, SparseLike
 
@@ -119,7 +118,7 @@ def transition_ratio(
     simulator_data: SimulatorData = ...,
     behavior_policy: PolicyLike | None = ...,
     seed: Seed = ...,
-    prior: Prior | None = ...,
+    prior: PriorName | Prior | None = ...,
     strength: float | Criterion | None = ...,
     features: FeaturesLike | None = ...,
     tie: TieLike | None = ...,
@@ -152,7 +151,7 @@ def transition_ratio(
     simulator_data: SimulatorData = None,
     behavior_policy: PolicyLike | None = None,
     seed: Seed = None,
-    prior: Prior | None = None,
+    prior: PriorName | Prior | None = None,
     strength: float | Criterion | None = None,
     features: FeaturesLike | None = None,
     tie: TieLike | None = None,
@@ -209,9 +208,10 @@ def transition_ratio(
         ``Quotient`` and ``Joint``.
     seed : int, Generator or None, optional
         Seed of the simulator's data, if they are sampled, and of Algorithm 1's batches.
-    prior : {'ridge', 'tilt', 'simulator', 'none'}, optional
-        What zeta is shrunk to. For 'conditional'; default 'ridge'. Here and below None
-        means the default of the method.
+    prior : Prior, {'ridge', 'tilt', 'simulator', 'none'}, optional
+        What zeta is shrunk to, by name or as an object such as ``Shrinkage(...)``. For
+        'conditional'; default 'ridge'. Here and below None means the default of the
+        method.
     strength : float, 'evidence' or 'loo', optional
         How many transitions the prior is worth in each pair. For 'conditional', default
         'evidence', and for 'tied', where it is a number, default 3.0.
@@ -356,48 +356,4 @@ def transition_ratio(
         simulator_data=simulator_data,
         behavior_policy=behavior_policy,
         seed=seed,
-    )
-
-
-def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
-    """Compute zeta = P_target / P_simulator on the simulator's support (eq. 4.3).
-
-    Parameters
-    ----------
-    target : FiniteMDP
-        The model whose transition probabilities stand in the numerator.
-    simulator : FiniteMDP
-        The model whose transition probabilities stand in the denominator, of the same
-        states and actions.
-
-    Returns
-    -------
-    TransitionRatio
-        The exact ratio on the simulator's transitions, with a gap of 0.
-
-    Raises
-    ------
-    ValueError
-        If the target has transitions to which the simulator gives probability 0; the
-        most frequent are named.
-
-    See Also
-    --------
-    transition_ratio : The ratio from a log of the target.
-
-    Examples
-    --------
-    >>> import oee_tabular as oee
-    >>> simulator, target = (
-    ...     oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5)
-    ...     for p in (0.5, 0.6)
-    ... )
-    >>> true_ratio(target, simulator).values.toarray().round(6).tolist()
-    [[0.8, 1.2], [0.8, 1.2]]
-    """
-    require_pair(target, simulator)
-    refuse_unsupported(target.transitions, simulator, what="target")
-    data, _ = align(target.transitions, simulator.transitions)
-    return RatioInput(data, simulator, Rows.of(simulator)).ratio(
-        data / simulator.transitions.data, "true", 0.0, {}
     )

@@ -328,19 +328,19 @@ def test_the_error_if_the_prior_fits_is_the_posterior_s():
     n = inside.n
 
     def value(theta):
-        model = replace(inside.tilt, theta=theta).at(rows)
+        model = replace(inside.prior, theta=theta).at(rows)
         return gradient @ (rows.spread(1 - share) * model)
 
-    theta = inside.tilt.theta
+    theta = inside.prior.theta
     h = 1e-5
     pull = np.zeros(theta.shape)
     for place in np.ndindex(*theta.shape):
         step = np.zeros(theta.shape)
         step[place] = h
         pull[place] = (value(theta + step) - value(theta - step)) / (2 * h)
-    G = inside.tilt.covariances
+    G = inside.prior.covariances
     d = theta.shape[1]
-    H = np.diag(inside.tilt.penalty.reshape(-1))
+    H = np.diag(inside.prior.penalty.reshape(-1))
     H[:d, :d] += G.sum(axis=0)
     for a in range(2):
         own = slice((1 + a) * d, (2 + a) * d)

@@ -22,12 +22,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log, log1p
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from oee_tabular._compiling import njit
 from oee_tabular.mdp import Rows, distinct_rows
+from oee_tabular.ratio.prior import Criterion
 from oee_tabular.typing import Array, IntArray
 
 # The argument from which Stirling's series with four terms errs by less than 1e-13.
@@ -37,9 +38,9 @@ EQUAL_SHARE = 1e-13
 
 
 class Counts(NamedTuple):
-    """The recorded rows: the kind and n of each, and the ends of its entries with counts.
+    """The recorded rows: the kind and n of each, and where its entries end.
 
-    ``counts`` and ``prior`` are those of the entries.
+    ``counts`` and ``prior`` are those of the entries that have counts.
     """
 
     kind: IntArray
@@ -164,7 +165,6 @@ KAPPA_OF_ROUGH_FIT = 50.0
 # Kinds with fewer recorded rows, or fewer transitions, are pooled.
 MIN_ROWS_OF_KIND = 5
 MIN_TRANSITIONS_OF_KIND = 100
-Criterion: TypeAlias = Literal["evidence", "loo"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 
 

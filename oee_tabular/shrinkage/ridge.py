@@ -47,21 +47,22 @@ import numpy as np
 
 from oee_tabular.mdp import Rows
 from oee_tabular.ratio import statements
-from oee_tabular.ratio.prior._ridge import (
+from oee_tabular.ratio.prior import FittedRows
+from oee_tabular.ratio.statements import TiltProgram
+from oee_tabular.shrinkage._ridge import (
     Columns,
     sum_columns,
     sum_covariances,
     tilt_rows,
 )
-from oee_tabular.ratio.prior.directions import GROUPS, Directions
-from oee_tabular.ratio.prior.newton import (
+from oee_tabular.shrinkage.directions import GROUPS, Directions
+from oee_tabular.shrinkage.newton import (
     Risk,
     differentiate,
     fit_tilt,
     invert_arrow,
     spread_strengths,
 )
-from oee_tabular.ratio.statements import TiltProgram
 from oee_tabular.typing import Array
 
 # The numbers of rounds of MacKay's rule, for kappa around the first rows, then for
@@ -70,7 +71,7 @@ N_ROUNDS = (6, 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Tilt:
+class Tilt(FittedRows):
     """A fitted tilt of the simulator's rows.
 
     Attributes
@@ -96,6 +97,13 @@ class Tilt:
     penalty: Array
     strengths: Array
     gap: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Return whether the parameters and their precision are finite numbers."""
+        return bool(
+            np.isfinite(self.theta).all() and np.isfinite(self.covariances).all()
+        )
 
     def at(self, rows: Rows) -> Array:
         """Return the tilted rows, (entries,)."""

@@ -42,7 +42,7 @@ from oee_tabular.mdp import (
     distinct_rows,
     round_displacements,
 )
-from oee_tabular.ratio.prior._ridge import Columns, find_codes
+from oee_tabular.shrinkage._ridge import Columns, find_codes
 from oee_tabular.typing import Array, IntArray
 
 # The largest number of displacements that are directions of their own.
