@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 from helpers import GIVE_UP_SECONDS
+from structures import small_world
 from threadpoolctl import threadpool_info
 
 import oee_tabular as oee
@@ -66,6 +67,10 @@ def fingerprints():
         oee.policy_value(simulator, policy),
         oee.policy_value(simulator, policy, horizon=5),
     )
+    # an elimination leaves a dense system of some hundred states
+    kernel = small_world(3000, 0.1)
+    world = oee.FiniteMDP(kernel, np.arange(3000.0), np.full(3000, 1 / 3000), 0.999)
+    found["far links"] = digest(oee.state_values(world, np.ones((3000, 1))))
     for options in ({}, {"prior": "tilt"}, {"method": "joint", "seed": 0}):
         found[f"ratio {options}"] = digest(
             oee.transition_ratio(log, simulator, **options).values.data

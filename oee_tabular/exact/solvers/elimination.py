@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oee_tabular._compiling import njit
 from oee_tabular.exact.solvers.direct import solver_of_dense
@@ -80,7 +81,7 @@ class Links(NamedTuple):
     """
 
     rows: IntArray
-    columns: IntArray
+    columns: NDArray[np.uint32]
     upper: Array
     lower: Array
     diagonal: Array
@@ -115,6 +116,11 @@ class Elimination:
 
     def prepare(self, system: System) -> Solve:
         """Eliminate states and factorise the rest; give up where that is too much."""
+
+        def solve_nothing(b: Array, relative: float) -> Array | None:
+            """Return the right side of a system without states."""
+            return b
+
         transpose = system.transpose
         found = eliminate(system)
         if found is None:
@@ -123,7 +129,7 @@ class Elimination:
         is_rest = np.ones(system.n_states, dtype=np.bool_)
         is_rest[eliminated] = False
         rest: IntArray = np.flatnonzero(is_rest)
-        solve_rest: Solve = lambda b, relative: b
+        solve_rest: Solve = solve_nothing
         if len(rest):
             solve_rest = solver_of_dense(dense_rest(links, rest), transpose)
 
