@@ -20,6 +20,17 @@ def grid(n):
     return policy_kernel(mdp, oee.uniform_policy(mdp))
 
 
+def small_world(n, far):
+    """A ring with two neighbours a side, a share of whose links leads anywhere."""
+    rng = np.random.default_rng(n)
+    rows = np.repeat(np.arange(n), 4)
+    columns = (rows + np.tile([-2, -1, 1, 2], n)) % n
+    is_far = rng.random(len(columns)) < far
+    columns[is_far] = rng.integers(0, n, is_far.sum())
+    data = np.full(len(rows), 0.25)
+    return sparse.csr_array(sparse.coo_array((data, (rows, columns)), shape=(n, n)))
+
+
 def layered(layers, width):
     rng = np.random.default_rng(0)
     n = layers * width

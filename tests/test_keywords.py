@@ -136,4 +136,5 @@ def test_what_holds_an_object_without_a_text_has_a_text(make):
 
 
 def test_a_number_of_more_digits_than_python_writes_has_a_text():
-    assert repr(oee.ratio.Quotient(ridge=10**5000))
+    assert repr(oee.estimators.Estimate(1.0, diagnostics={"mine": 10**5000}))
+    assert repr(oee.bench.Families({}, 10**5000, {}))

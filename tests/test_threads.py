@@ -127,7 +127,9 @@ def test_warnings_name_the_callers_line():
         lambda: oee.transition_ratio(log, simulator, features=twice),
         lambda: oee.transition_ratio(log, simulator, method="linear", features=twice),
         lambda: oee.density_ratio(
-            [0.5, 0.3, 0.2], [0.3, 0.3, 0.4], features=np.ones((3, 2))
+            [0.5, 0.3, 0.2],
+            [0.3, 0.3, 0.4],
+            functions=oee.ratio.Linear(np.ones((3, 2))),
         ),
     ):
         with pytest.warns(UserWarning, match="linearly independent") as caught:

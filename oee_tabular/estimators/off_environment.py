@@ -40,7 +40,7 @@ from oee_tabular.exact import (
 )
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import horizon_length
-from oee_tabular.ratio import Quotient, TransitionRatio
+from oee_tabular.ratio import Quotient, Sgd, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.shrinkage.threshold import Move, SoftThreshold
 from oee_tabular.simulate import draw
@@ -64,8 +64,9 @@ class OffEnvironment(RatioEstimator):
     ratio zeta = P_target / P to the log, shrunk to a prior, and multiplies the
     simulator's transition probabilities P by it. It computes the policy's value in this
     corrected simulator zeta * P (eq. 4.2). If the log contradicts that value, it moves
-    the value towards the log. The prior and the move are this package's, and
-    ``oee_tabular.shrinkage`` explains them. What the paper has is as short a call::
+    the value towards the log. The rows that are fitted against the known P, the
+    prior, the exact value and the move are this package's; ``oee_tabular.shrinkage``
+    explains prior and move. What the paper has is as short a call::
 
         OffEnvironment()          our default
         OffEnvironment.paper()    the paper's own: the quotient of eq. 4.4, and products
@@ -123,9 +124,9 @@ class OffEnvironment(RatioEstimator):
 
         J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2
 
-    Here change is the difference from J(zeta P) to the nearer of two values, the
-    one-step value and the maximum-likelihood value; it is 0 if J(zeta P) lies between
-    them. s is the standard error of the difference of the two values, se that of the
+    Here change leads from J(zeta P) to the nearer of two values, the one-step value and
+    the maximum-likelihood value, and towards the latter, at most twice as far, if the
+    nearer one is more than 2 s away; it is 0 if J(zeta P) lies between them. s is the standard error of the difference of the two values, se that of the
     one-step value, se_fit that of zeta * P if its prior fits.
     ``shrinkage.SoftThreshold`` says how change and lambda follow.
 
@@ -184,6 +185,7 @@ class OffEnvironment(RatioEstimator):
         lower: float = 0.01,
         upper: float = 10.0,
         ridge: float | Callable[[float], float] = 0.0,
+        solver: str | Sgd = "dual",
         n_rollouts: int = 100,
     ) -> OffEnvironment:
         """Return the paper's own estimator.
@@ -195,7 +197,11 @@ class OffEnvironment(RatioEstimator):
         upper : float, default 10.0
             The paper's mu, the upper bound on each beta.
         ridge : float or callable, default 0.0
-            The paper's lambda_n, a number or a function of n; it pulls each beta to 1.
+            The paper's lambda_n, a number or a function of n, times half of the sum of
+            squares of each beta.
+        solver : str or Sgd, default 'dual'
+            'dual' finds the optimum of eq. 3.7 exactly; ``Sgd(...)`` is the paper's
+            Algorithm 1.
         n_rollouts : int, default 100
             The number of simulated episodes.
 
@@ -216,7 +222,9 @@ class OffEnvironment(RatioEstimator):
         >>> round(estimate.value, 1), round(estimate.standard_error, 1)
         (10.2, 0.4)
         """
-        quotient = Quotient(lower, upper, ridge, normalized=False)
+        quotient = Quotient(
+            lower, upper, ridge, toward=None, normalized=False, solver=solver
+        )
         return cls(
             quotient, adjust=None, evaluation="monte_carlo", n_rollouts=n_rollouts
         )

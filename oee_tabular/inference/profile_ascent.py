@@ -9,8 +9,8 @@ whole simplex on the simulator's support without one), or, with a factor, to the
 extreme near the estimated rows (``Evidence.near``).
 
 An end is stationary where its rows are best for the gradient of J at themselves. P(x)
-are the rows that maximise sum x P over the set (``_likelihood``: P_i = phat_i / (1 + e
-- u_i)), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and the
+are the rows that maximise sum x P over the set (``_likelihood``: P_i = phat_i / (1 + e_r
+- u_i), u_i = tau x_i / n_r, with tau for the set's limit c and e_r for the row's sum), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and the
 ascent to the upper end (with -G: to the lower) is
 
     P_k = P(x_k),   x_{k+1} = x_k + a (G_k - x_k);
@@ -240,8 +240,8 @@ class PolicyRows:
         return bool((self.low[own] <= 0.0).all() and (self.high[own] >= 1.0).all())
 
     @cached_property
-    def room(self) -> tuple[Array, IntArray, Array, Array]:
-        """Return room for what ``fill_best_rows`` computes of entries and rows."""
+    def work(self) -> tuple[Array, IntArray, Array, Array]:
+        """Return arrays for what ``fill_best_rows`` computes of entries and rows."""
         n = len(self.n)
         return (
             np.zeros(len(self.phat)),
@@ -278,7 +278,9 @@ class Ascent:
 
     ``p`` are the rows, found for ``last_x``, ``value`` is J of them, ``divergence``
     their sum of n KL, and ``gradient`` the gradient of J there (negative on the way
-    down); ``change`` is the change of J in the last iteration. ``x`` is the next
+    down); ``change`` is the change of J in the last iteration. ``limit`` is c, ``tau`` the
+    multiplier that met it last, ``step`` is a, and ``slack`` how far off J of the next
+    rows may be. ``x`` is the next
     direction; ``values`` and ``visits`` are V and d of each policy in the rows that
     were evaluated last, and ``slope`` the gradient of J there. ``reference`` is J of the
     frequencies.
@@ -323,8 +325,8 @@ class Ascent:
         """
         width = abs(self.value - self.reference) + TINY
         self.slack = VALUE_TOLERANCE * min(self.change, width)
-        room = min(max(self.slack / width, LIMIT_TOLERANCE), 1e-3)
-        trial, self.tau, reached = best_rows(rows, self.x, self.limit, room, self.tau)
+        share = min(max(self.slack / width, LIMIT_TOLERANCE), 1e-3)
+        trial, self.tau, reached = best_rows(rows, self.x, self.limit, share, self.tau)
         if rows.n_steps and self.step < 1.0:
             trial = blend(rows, self.step, trial, self.p)
         return trial, reached
@@ -335,7 +337,7 @@ class Ascent:
         x_{k+1} = x_k + a (G_k - x_k),   a halved where J is worse, else a -> min(1, 1.2
         a).
 
-        ``value`` is J of the trial rows, ``slope`` the gradient of J there, and
+        ``value`` is J of the trial rows, at which the field ``slope`` is its gradient, and
         ``least`` the share of the distance from the reference by which iterations must
         move the end.
         """
@@ -374,11 +376,11 @@ class Ascent:
 
 
 def best_rows(
-    rows: PolicyRows, x: Array, limit: float, room: float, tau: float
+    rows: PolicyRows, x: Array, limit: float, tolerance: float, tau: float
 ) -> tuple[Array, float, float]:
     """Return the rows that are best for ``x``, tau, and their sum of n KL.
 
-    The limit is met to a share ``room``; ``tau`` is a guess, or 0.
+    The limit is met to a share ``tolerance``; ``tau`` is a guess, or 0.
     """
     p = np.empty(len(x))
     tau, reached = fill_best_rows(
@@ -390,9 +392,9 @@ def best_rows(
         rows.order(x),
         x,
         limit,
-        room,
+        tolerance,
         tau,
-        *rows.room,
+        *rows.work,
         p,
     )
     return p, tau, reached
@@ -479,11 +481,11 @@ def _find_end(
     ends: list[Ascent] = []
     for ascent in found:
         behind = sign * (found[0].value - ascent.value)
-        room = CONTENDING_SHARE * abs(found[0].value - base.value)
+        distance = CONTENDING_SHARE * abs(found[0].value - base.value)
         is_known = any(
             float(np.abs(ascent.p - other.p).max()) <= SAME_ROWS for other in ends
         )
-        if ends and (behind > room or is_known or is_large):
+        if ends and (behind > distance or is_known or is_large):
             continue
         is_final &= _ascend(rows, ascent, END_TOLERANCE, watch)
         ends.append(ascent)

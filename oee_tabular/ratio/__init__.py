@@ -112,15 +112,22 @@ Where the rest is
                  correction
     support      transitions to which the simulator gives probability 0
 
-To add a method, derive from ``Method`` and define ``_fit``; to add a solver of eq. 3.7,
-return g and the multiplier of the sum, as ``statements.solve_rows`` does, and the
-certificate judges it.
+To add a method, derive from ``Method`` and define ``_fit``. To add a solver of eq. 3.7,
+return g and the multiplier of the sum, as ``statements.solve_rows`` does, and call it
+beside that in ``density._solve_table`` and in ``Conditional._fit``; the certificate
+judges it. A prior along directions is fitted by the solver of the same name.
+
+Names of methods in ``transition_ratio`` and on the command line: "conditional" is
+``Conditional``, "tied" ``Tied``, "linear" and "kernel" ``InClass``, "ratio_of_ratios"
+``Quotient`` and "joint" ``Joint``.
 
 Guarantees
 ----------
 The gap of a fit is in nats; "optimal" is at most 1e-8. Rows of zeta * P sum to 1 except
-with ``Quotient``. zeta is 1, or the prior's, where nothing was observed. A transition
-that the simulator cannot make is an error that names it.
+with ``Quotient``. Where a pair was never recorded zeta is 1 with ``NoPrior``, else what
+the method carries over to it: the prior's, that of the class of functions, of the keys,
+or the quotient's. A transition that the simulator cannot make is an error that names
+it.
 
 Reference: [1] Nguyen, Wainwright and Jordan, Estimating divergence functionals and the
 likelihood ratio by convex risk minimization, IEEE Trans. Information Theory 56(11),
@@ -178,7 +185,6 @@ __all__ = [
     "density_ratio",
     "gaussian",
     "refuse_unsupported",
-    "transition_ratio",
     "true_ratio",
     "uncovered_share",
 ]

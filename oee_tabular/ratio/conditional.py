@@ -4,7 +4,8 @@ A row is the distribution of s' in one state-action pair. Its frequencies are mi
 ``kappa`` pseudo-counts of a prior row m, p = (n + kappa m) / (n_sa + kappa), and zeta
 minimises sum_s' P z - p log z (+ ridge) over the box, subject to sum_s' P z = 1.
 Without ridge and box that is zeta = (n_sas' / P + kappa m / P) / (n_sa + kappa), the
-posterior mean under a Dirichlet prior. With ``NoPrior`` kappa is 0, the paper's risk.
+posterior mean under a Dirichlet prior. With ``NoPrior`` kappa is 0, and the risk is
+the paper's, but with the known q = P, and sums that are imposed.
 
 The prior is an object (``ratio.prior``). Names of priors, strengths and features are
 shorthands for ``oee_tabular.shrinkage.Shrinkage``, which is imported where it is used:

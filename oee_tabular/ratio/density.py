@@ -73,8 +73,8 @@ class RatioFit:
     q_total : float
         Sum of the given q, before it was scaled to 1.
     status : str
-        "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding of 1,
-        features of many scales).
+        "optimal", or "inaccurate: the gap is ..." if the gap exceeds 1e-8 (a box within
+        rounding of 1, features of many scales).
     trace : SgdTrace or None
         The iterations of Algorithm 1; None with another solver.
     weights : ndarray of shape (d,) or None

@@ -5,8 +5,9 @@ The program is (eq. 3.7)
     minimise  sum_x q g - p log g + A/2 (g - c)^2
     subject to  lower <= g <= upper,  sum_x q g = sum_x q,
 
-in each row. The loops solve q g - p log g - pull g + a/2 g^2. With the multiplier eta
-of the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels)
+in each row. The loops solve the same as q g - p log g - pull g + a/2 g^2, with the
+curvature a = A and pull = A c. With the multiplier eta of the equality, which
+``statements`` returns, and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels)
 each coordinate has the closed form of ``coordinate``, and the miss sum_x q (g_x(m) - 1)
 is nonincreasing in m: a bracketed root, by Newton's method. Where a = 0 it is Newton's
 in 1/m, in which the miss is linear as long as the same entries are inside the box. Gaps

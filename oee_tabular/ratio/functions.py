@@ -48,7 +48,7 @@ class Table:
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The class g = Phi w, with w in R^d; the ridge is ridge/2 times |w|^2.
+    """The class g = Phi w, with w in R^d; the ridge is ridge/2 times w . w.
 
     Parameters
     ----------

@@ -205,7 +205,9 @@ class Method:
     ['conditional', 'ratio_of_ratios', 'joint']
     """
 
-    # Which of values_of, horizon, simulator_data and behavior_policy ``fit`` may use.
+    # Which of values_of, horizon, simulator_data and behavior_policy ``fit`` may use. An
+    # estimator gives the log itself only to a method that uses simulator_data; others
+    # get its counts, and ``RatioInput.log`` is None.
     USES: ClassVar[frozenset[str]] = frozenset()
 
     @property

@@ -28,7 +28,8 @@ Criterion: TypeAlias = Literal["evidence", "loo"]
 
 
 class FittedRows:
-    """Base of rows m that were fitted to the log by parameters theta (A, d).
+    """Base of rows m that were fitted to the log by parameters theta (A, d), theta_0 +
+    theta_a of each action.
 
     ``gap`` is the certificate of theta, in nats.
     """

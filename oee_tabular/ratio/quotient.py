@@ -55,8 +55,8 @@ class Quotient(Method):
     normalized : bool, default True
         Whether sum beta q = 1 is imposed on each; False as in the paper.
     solver : str or Sgd, default 'dual'
-        'dual' (exact), the name of a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both
-        tables in turn, which needs normalized=False.
+        'dual' (exact), the name of a cvxpy solver, or ``Sgd(...)``: Algorithm 1 on
+        one table, then on the other, which needs normalized=False.
     data : Transitions or 'exact', optional
         Data of the simulator. None samples a log of the target log's size under its
         estimated behaviour policy, with the seed of ``fit``; 'exact' is the simulator's

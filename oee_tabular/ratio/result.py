@@ -40,7 +40,8 @@ class TransitionRatio:
         The largest duality gap of the programs solved, in nats, each program scaled to
         probabilities.
     visited : ndarray of bool of shape (S, A)
-        Whether the pair was recorded; elsewhere zeta is the prior's (1, or the tilt's).
+        Whether the pair was recorded; elsewhere zeta is what the method carries over
+        to it: the prior's, the class's, or 1.
     row_sum_error : float
         The largest absolute difference of sum_s' zeta P from 1 over (s, a).
     counts : ndarray of shape (S, A)

@@ -2,8 +2,8 @@
 
 ``oee_tabular.ratio`` has the paper's programs. With few transitions their solution, the
 log's frequencies, has a large variance. What this package does about it by default is
-on this page, and only here. ``OffEnvironment()`` has both steps,
-``OffEnvironment(adjust=None)`` the first, ``OffEnvironment.paper()`` neither.
+on this page, and only here. ``OffEnvironment()`` has the prior and the move,
+``OffEnvironment(adjust=None)`` the prior alone, ``OffEnvironment.paper()`` neither.
 
 The model
 ---------
@@ -30,12 +30,12 @@ The estimator
     2. zeta      the paper's program in each row (``ratio.Conditional``), whose
                  frequencies are mixed with kappa m
     3. value     J(zeta P), moved towards the log where the log contradicts it by more
-                 than lambda standard errors of the difference
+                 than a threshold, in standard errors of the difference
     4. interval  the likelihood interval around the rows zeta P, which
                  ``report.uncertainty`` chooses; the estimator's own interval is the
                  one-step value's
 
-Everything is convex given lambda and kappa.
+Everything is convex given the strengths lambda_g and kappa.
 
 Where to find it
 ----------------
@@ -50,8 +50,8 @@ Where to find it
     transition  transition_ratio, whose default shrinks
     _ridge      the loops over entries
 
-Shapes: counts, P, m (entries,) on the simulator's entries; theta (1 + A, d); kappa
-(rows,).
+Shapes: counts, P, m (entries,) on the simulator's entries; theta (1 + A, d), theta_0
+first; kappa (rows,).
 
 What each part buys
 -------------------

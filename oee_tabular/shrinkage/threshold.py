@@ -3,7 +3,8 @@
 J(zeta P) has a small error where its prior fits, and is biased where it does not. Two
 values of the log are nearly without bias: the one-step value, which is linear in the
 log's frequencies, and the maximum-likelihood value. The value moves towards the nearer
-one by what their difference exceeds lambda standard errors [1].
+one, or further where that is far away, by what the change exceeds lambda standard
+errors [1].
 
 Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification, arXiv
 2305.14265.
@@ -39,7 +40,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class SoftThreshold:
-    """The default's second step: move a value towards the log that contradicts it.
+    """The default's third step: move a value towards the log that contradicts it.
 
     ``OffEnvironment(adjust=SoftThreshold())`` has the value ::
 
