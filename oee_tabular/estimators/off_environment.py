@@ -126,8 +126,9 @@ class OffEnvironment(RatioEstimator):
 
     Here change leads from J(zeta P) to the nearer of two values, the one-step value and
     the maximum-likelihood value, and towards the latter, at most twice as far, if the
-    nearer one is more than 2 s away; it is 0 if J(zeta P) lies between them. s is the standard error of the difference of the two values, se that of the
-    one-step value, se_fit that of zeta * P if its prior fits.
+    nearer one is more than 2 s away; it is 0 if J(zeta P) lies between them. s
+    is the standard error of the difference of the two values, se that of the one-step
+    value, se_fit that of zeta * P if its prior fits.
     ``shrinkage.SoftThreshold`` says how change and lambda follow.
 
     ``Estimate.standard_error`` is the root of the sum over recorded rows of Var(G) / n

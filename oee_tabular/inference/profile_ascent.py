@@ -10,8 +10,9 @@ extreme near the estimated rows (``Evidence.near``).
 
 An end is stationary where its rows are best for the gradient of J at themselves. P(x)
 are the rows that maximise sum x P over the set (``_likelihood``: P_i = phat_i / (1 + e_r
-- u_i), u_i = tau x_i / n_r, with tau for the set's limit c and e_r for the row's sum), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and the
-ascent to the upper end (with -G: to the lower) is
+- u_i), u_i = tau x_i / n_r, with tau for the set's limit c and e_r for the row's sum),
+G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and the ascent to
+the upper end (with -G: to the lower) is
 
     P_k = P(x_k),   x_{k+1} = x_k + a (G_k - x_k);
 

@@ -183,7 +183,9 @@ def test_short_names_and_what_they_stand_for():
         OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
         OffEnvironment(ratio="ratio_of_ratios"),
         OffEnvironment(
-            oee.ratio.Quotient(normalized=False), evaluation="monte_carlo", adjust=None
+            oee.ratio.Quotient(toward=None, normalized=False),
+            evaluation="monte_carlo",
+            adjust=None,
         ),
         ModelBased(),
         ModelBased("simulator"),
