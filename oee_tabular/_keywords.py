@@ -7,10 +7,15 @@ import difflib
 import functools
 import inspect
 from collections.abc import Callable, Iterable, Mapping
+from decimal import Decimal
+from fractions import Fraction
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, overload
 
 from oee_tabular.exceptions import UnknownKeywordError
+
+# numbers that do not mix with floats
+EXACT = (Decimal, Fraction)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -50,10 +55,37 @@ def suggest_keywords(
         return lambda function: _wrap(function, function.__name__, renamed)
     if not isinstance(door, type):
         return _wrap(door, door.__name__)
-    door.__init__ = _wrap(door.__init__, door.__name__)  # type: ignore[misc]
+    door.__init__ = _wrap(_take_floats(door.__init__), door.__name__)  # type: ignore[misc]
     if dataclasses.is_dataclass(door) and "__repr__" in vars(door):
         door.__repr__ = _safe(door.__repr__)  # type: ignore[method-assign]
     return door
+
+
+def _take_floats(make: Callable[P, T]) -> Callable[P, T]:
+    """Return a constructor that keeps a Decimal or a Fraction as a float.
+
+    Options are kept as they were given, and floats cannot be multiplied by the former.
+    """
+
+    @functools.wraps(make)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        if any(type(x) in EXACT for x in (*args, *kwargs.values())):
+            given = [_float_of(x) for x in args]
+            named = {name: _float_of(x) for name, x in kwargs.items()}
+            return make(*given, **named)  # type: ignore[arg-type]
+        return make(*args, **kwargs)
+
+    return call
+
+
+def _float_of(value: object) -> object:
+    """Return a Decimal or a Fraction as a float, if there is one, else the value."""
+    if type(value) not in EXACT:
+        return value
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (ValueError, OverflowError):
+        return value  # the constructor refuses it
 
 
 def _safe(write: Callable[[Any], str]) -> Callable[[Any], str]:

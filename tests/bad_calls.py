@@ -737,6 +737,7 @@ ResidualSimulator(CartPole(), pole(action=2))  ->  log.action[0] must be in 0..1
 corrected_value(CartPole(), POLE, 10, 5)  ->  corrected must be a ResidualSimulator
 corrected_value(corrected(), np.ones((3, 2)), 10, 5)  ->  policy must be
 fit_parameters(CartPole, {}, pole())  ->  start must map names
+fit_parameters(CartPole, {b"gravity": 10.0}, pole())  ->  start must have texts as names of parameters; one is b'gravity'
 fit_parameters(CartPole, {"gravity": 10.0}, pole(), {"gravity": (11, 12)})  ->  start['gravity'] must be in its bounds, 11 to 12
 fit_parameters(CartPole, {"gravity": 10.0}, pole(), {"mass": (0.0, 1.0)})  ->  bounds must be of parameters in start
 fit_parameters(None, {"gravity": 10.0}, pole())  ->  task_of must be

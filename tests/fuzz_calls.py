@@ -41,6 +41,8 @@ import oee_tabular as oee
 LIMIT = 5.0  # seconds of CPU of a call
 LONGEST = 1500  # characters of a message
 OURS = (ValueError, OSError, ImportError, MemoryError)
+# these name a file, a package or a solver and its remedy in place of an argument
+OTHER_NAMES = (OSError, ImportError, oee.exceptions.SolverStatusError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 # whose arguments have valid values of their own
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")
@@ -372,8 +374,8 @@ def refusal(error, values, replaced):
         return "raw", text
     if isinstance(error, Spite) or any(callable(values[name]) for name in replaced):
         return "refused", text  # perhaps the hostile object's own
-    if not isinstance(error, OURS) or not (
-        raised_here(error) or isinstance(error, OSError | ImportError)
+    if not isinstance(error, OURS + OTHER_NAMES) or not (
+        raised_here(error) or isinstance(error, OTHER_NAMES)
     ):
         return "raw", text
     if len(text) > LONGEST:
@@ -383,7 +385,7 @@ def refusal(error, values, replaced):
     files = [values[name] for name in replaced if isinstance(values[name], Path)]
     if any(str(error).startswith(repr(str(path))) for path in files):
         return "refused", text  # a file is called by its name
-    if isinstance(error, OSError | ImportError) or named(str(error), values):
+    if isinstance(error, OTHER_NAMES) or named(str(error), values):
         return "refused", text
     return "nameless", text
 

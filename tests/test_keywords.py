@@ -4,6 +4,8 @@ import importlib
 import inspect
 import pickle
 import sys
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -138,3 +140,16 @@ def test_what_holds_an_object_without_a_text_has_a_text(make):
 def test_a_number_of_more_digits_than_python_writes_has_a_text():
     assert repr(oee.estimators.Estimate(1.0, diagnostics={"mine": 10**5000}))
     assert repr(oee.bench.Families({}, 10**5000, {}))
+
+
+def test_options_are_kept_as_floats():
+    """A Decimal and a Fraction do not mix with floats."""
+    tasks = oee.tasks
+    cart = tasks.CartPole(gravity=Decimal("9.8"))
+    assert cart == tasks.CartPole(9.8)
+    assert type(cart.gravity) is float
+    ridge = oee.ratio.Quotient(ridge=Fraction(1, 2)).ridge
+    assert ridge == 0.5
+    assert type(ridge) is float
+    with pytest.raises(ValueError, match="gravity must be"):
+        tasks.CartPole(gravity=Decimal("sNaN"))

@@ -200,6 +200,11 @@ def fit_parameters(
             f"must map names of parameters to numbers; got {_checks.show(start)}",
         )
     names = list(start)
+    for name in names:
+        if not isinstance(name, str):
+            raise ArgumentError(
+                "start", f"must have texts as names of parameters; one is {name!r}"
+            )
     x0 = np.array(
         [
             _checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf)

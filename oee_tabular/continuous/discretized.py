@@ -91,6 +91,15 @@ class Discretization:
     metadata: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Check that the task is that of the MDP."""
+        if self.task.n_actions != self.mdp.n_actions:
+            raise ArgumentError(
+                "task",
+                f"must have the MDP's {self.mdp.n_actions} actions;"
+                f" {_checks.show(self.task.name)} has {self.task.n_actions}",
+            )
+
     def __repr__(self) -> str:
         """Describe task, cells and MDP in one line."""
         settings = ", ".join(

@@ -193,7 +193,7 @@ def plot_errors(
     first = next(iter(drawn.values()))
     start = np.flatnonzero(np.isfinite(first))
     if slope is not None:
-        _checks.number_in(slope, "slope", -100.0, 100.0)
+        slope = _checks.number_in(slope, "slope", -100.0, 100.0)
     if slope is not None and start.size and len(where) > 1:
         line = first[start[0]] * (where / where[start[0]]) ** slope
         ax.plot(

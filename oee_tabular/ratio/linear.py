@@ -32,7 +32,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, SolverStatusError
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge
 from oee_tabular.ratio.features import (
@@ -114,7 +114,7 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
                 "must leave a program that double precision holds; it is"
                 f" {program.penalty:g}",
             )
-        raise RuntimeError(
+        raise SolverStatusError(
             f"{solver} found no minimum; the program may be unbounded, where q = 0 < p;"
             " give a ridge or a finite upper bound"
         )

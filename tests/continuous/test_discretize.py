@@ -588,3 +588,9 @@ def test_pendulum_through_gymnasium():
         log.state, 2.0 * (log.action[:, None] - 1.0), log.next_state
     )
     assert abs(model.counts(commands) - model.counts(log)).max() == 0
+
+
+def test_a_discretization_is_of_a_task_with_its_actions():
+    model = discretize(Drift(), **QUICK)
+    with pytest.raises(ValueError, match="task must have the MDP's"):
+        replace(model, task=Reacher())
