@@ -194,11 +194,20 @@ def own_object(spec: str, what: str, example: str) -> Any:
     Errors call it ``what`` and give an ``example`` of the form.
     """
     module_name, path = module_and_path(spec, what, example)
-    result: object = own_module(module_name)
+    try:
+        result: object = own_module(module_name)
+    except ValueError as error:
+        # the text of an import's failure, without the argument that asked for it
+        raise ArgumentError(
+            what, f"must name something that can be imported; {error}"
+        ) from error.__cause__
     for name in path.split("."):
         if not hasattr(result, name):
-            known = _list_public(result)
-            raise ValueError(f"{module_name!r} has no object {path!r}{known}")
+            raise ArgumentError(
+                what,
+                "must name something that its module has;"
+                f" {module_name!r} has no object {path!r}{_list_public(result)}",
+            )
         result = getattr(result, name)
     return result
 

@@ -266,7 +266,8 @@ BAD = {
     ),
     "no module": (
         {"estimators": "no_such_module:x"},
-        "module 'no_such_module' cannot be found, neither in .* nor installed",
+        "families must name something that can be imported; module"
+        " 'no_such_module' cannot be found, neither in .* nor installed",
     ),
     "no object": (
         {"estimators": "own:nobody"},
