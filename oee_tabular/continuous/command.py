@@ -22,9 +22,12 @@ from oee_tabular._arguments import literal, named_specs, parse_spec
 from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.simulator import ContinuousSimulator, GridLike
-    from oee_tabular.continuous.task import StatePolicy
+    from oee_tabular.continuous.evaluation.simulator import (
+        ContinuousSimulator,
+        GridLike,
+    )
+    from oee_tabular.continuous.log.transitions import ContinuousTransitions
+    from oee_tabular.continuous.task.base import StatePolicy
     from oee_tabular.report import Report
     from oee_tabular.typing import RealArrayLike
 
@@ -51,8 +54,8 @@ def cartpole(**parameters: Any) -> ContinuousSimulator:
     floor 0.001, zeta from soft counts with prior "simulator" and strength 0.01,
     calibrated by the ratio. The whole state (``form=full``) has 1000 visited cells.
     """
-    from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.evaluation.simulator import ContinuousSimulator
+    from oee_tabular.continuous.task.cartpole import CartPole, cartpole_policy
 
     task = CartPole(**parameters)
     strength = 1.0 if task.form == "full" else 0.01
@@ -77,8 +80,8 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
     "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did
     harm.
     """
-    from oee_tabular.continuous.reacher import Reacher, reacher_policy
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.evaluation.simulator import ContinuousSimulator
+    from oee_tabular.continuous.task.reacher import Reacher, reacher_policy
 
     make = Reacher.tamed if _checks.boolean(tamed, "tamed") else Reacher
     return ContinuousSimulator(
@@ -108,9 +111,9 @@ def kinova(
     simulated arm. On cells: defensive (a tenth of the transitions half or one and a
     half times as far), zeta tied over displacements, calibrated by the difference.
     """
-    from oee_tabular.continuous.gen3 import kinova_policy
-    from oee_tabular.continuous.kinova import KinovaArm, fit_hand
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.evaluation.simulator import ContinuousSimulator
+    from oee_tabular.continuous.task.gen3 import kinova_policy
+    from oee_tabular.continuous.task.kinova import KinovaArm, fit_hand
 
     _checks.one_of(form, "form", ("arm", "hand"))
     arm = KinovaArm(**parameters)
@@ -140,7 +143,7 @@ def is_continuous(spec: str | None) -> bool:
         return False
     if name in CONTINUOUS:
         return True
-    from oee_tabular.continuous.gymnasium_named import is_continuous_id
+    from oee_tabular.continuous.task.gymnasium_named import is_continuous_id
 
     return is_continuous_id(spec)
 
@@ -179,7 +182,7 @@ def continuous_simulator(
     """
     name = spec.partition(":")[0]
     if name not in CONTINUOUS:
-        from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
+        from oee_tabular.continuous.task.gymnasium_named import gymnasium_simulator
 
         if not is_continuous(spec):
             raise ArgumentError(
@@ -266,9 +269,9 @@ def evaluate_files(
     ``options`` are made by ``task_options``, ``grid`` by ``read_grid``; ``columns`` is
     what the log's files call its columns; ``common`` is what ``evaluate_continuous`` takes.
     """
-    from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.simulator import Settings
+    from oee_tabular.continuous.evaluation.evaluate import evaluate_continuous
+    from oee_tabular.continuous.evaluation.simulator import Settings
+    from oee_tabular.continuous.log.transitions import ContinuousTransitions
     from oee_tabular.mdp import read_policy_array
 
     recorded = ContinuousTransitions.load(log, columns=columns)
@@ -329,7 +332,7 @@ def record_log(
 
     Actions that are commands are written as such.
     """
-    from oee_tabular.continuous.log import ContinuousTransitions
+    from oee_tabular.continuous.log.transitions import ContinuousTransitions
 
     simulator = continuous_simulator(spec, **options)
     log = simulator.record(_find_policy(policy, simulator, "policy"), **limits)
@@ -351,7 +354,7 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
     """
     if not _is_array_file(spec):
         return simulator.policy(spec, name)
-    from oee_tabular.continuous.discretization import DEFAULT_VERTICES
+    from oee_tabular.continuous.discretization.build import DEFAULT_VERTICES
     from oee_tabular.mdp import read_policy_array
 
     if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):

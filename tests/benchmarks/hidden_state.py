@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from oee_tabular.continuous.task import DerivedTask, Moves
+from oee_tabular.continuous.task.base import DerivedTask, Moves
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.experiments import classic
 

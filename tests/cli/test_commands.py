@@ -22,7 +22,7 @@ SLOW = {
     "gymnasium",
     "matplotlib",
     "oee_tabular.testing",
-    "oee_tabular.continuous.task",
+    "oee_tabular.continuous.task.base",
 }
 
 

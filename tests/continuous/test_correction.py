@@ -21,16 +21,21 @@ from continuous.test_residual import Line, line_log
 from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.command import continuous_simulator
-from oee_tabular.continuous.correction import (
-    choose_correction,
+from oee_tabular.continuous.correction.choice import choose_correction
+from oee_tabular.continuous.correction.hidden_state import (
+    hidden_state,
+    history_effects,
+)
+from oee_tabular.continuous.correction.history import earlier_rows
+from oee_tabular.continuous.correction.parameters import parameters_of
+from oee_tabular.continuous.correction.sentences import (
     describe_history,
     difference,
-    parameters_of,
 )
-from oee_tabular.continuous.discretized import uniform_policy_of
-from oee_tabular.continuous.episodes import MonteCarlo, compare_returns
-from oee_tabular.continuous.history import earlier_rows, hidden_state, history_effects
-from oee_tabular.continuous.rows import calibrated_row, refuse_impossible
+from oee_tabular.continuous.discretization.model import uniform_policy_of
+from oee_tabular.continuous.evaluation.on_cells import calibrated_row
+from oee_tabular.continuous.evaluation.rollouts import refuse_impossible
+from oee_tabular.continuous.task.episodes import MonteCarlo, compare_returns
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
 from oee_tabular.lab.experiments import classic
@@ -752,7 +757,9 @@ def test_on_cells_no_value_is_beyond_what_the_rewards_sum_to(monkeypatch):
     def absurd(*given):
         return Estimate(1e9)
 
-    monkeypatch.setattr("oee_tabular.continuous.rows.calibrated_row", absurd)
+    monkeypatch.setattr(
+        "oee_tabular.continuous.evaluation.on_cells.calibrated_row", absurd
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         report = evaluate_continuous(

@@ -13,12 +13,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.continuous.cells import Grid
-from oee_tabular.continuous.discretization import (
+from oee_tabular.continuous.discretization.build import (
     GridInterpolation,
     VisitedCells,
     discretize,
 )
+from oee_tabular.continuous.discretization.cells import Grid
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
     CartPole,

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 from saved_results import saved
 
-from oee_tabular.continuous.kinova import ideal_hand
+from oee_tabular.continuous.task.kinova import ideal_hand
 from oee_tabular.lab import experiments
 from oee_tabular.lab.experiment import Stream, files_of, summary_of
 from oee_tabular.lab.experiments import changes, classic, reacher

@@ -10,13 +10,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.continuous.gymnasium_named import (
+from oee_tabular.continuous.evaluation.policies import as_probabilities
+from oee_tabular.continuous.task.base import Chance, check_probabilities
+from oee_tabular.continuous.task.gymnasium_named import (
     action_set,
     gymnasium_simulator,
     gymnasium_spec,
 )
-from oee_tabular.continuous.simulator import as_probabilities
-from oee_tabular.continuous.task import Chance, check_probabilities
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (
     GymnasiumTask,

@@ -7,10 +7,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.continuous.correction import odd_row
-from oee_tabular.continuous.episodes import compare_returns
-from oee_tabular.continuous.regression import Functions, Grams, episode_groups
-from oee_tabular.continuous.scatter import Stops
+from oee_tabular.continuous.correction.regression import (
+    Functions,
+    Grams,
+    episode_groups,
+)
+from oee_tabular.continuous.correction.sentences import odd_row
+from oee_tabular.continuous.correction.stops import find_stops
+from oee_tabular.continuous.task.episodes import compare_returns
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.experiments import classic
 from oee_tabular.lab.experiments.classic import Plain
@@ -303,7 +307,7 @@ def test_noise_is_drawn_from_the_log_where_it_is_another():
     target = Line(noise=0.05)
     corrected = ResidualSimulator(Line(noise=0.01), line_log(target, 6000), seed=0)
     assert (corrected.coordinates[0].scatter, corrected.n_disturbances) == ("log", 2)
-    assert not corrected._scatter.local
+    assert corrected._scatter.near is None
     states = np.zeros((20_000, 1))
     actions = np.ones(20_000, dtype=np.int64)
     spread = (
@@ -341,7 +345,7 @@ def test_noise_that_depends_on_the_place_is_drawn_near_by():
     corrected = ResidualSimulator(
         Line(noise=0.01), line_log(Gusty(noise=0.02), 6000), seed=0
     )
-    assert corrected._scatter.local
+    assert corrected._scatter.near is not None
     for place, right in ((-0.7, 0.01), (0.7, 0.1)):
         states = np.full((4000, 1), place) + np.random.default_rng(1).uniform(
             -0.2, 0.2, (4000, 1)
@@ -514,7 +518,7 @@ def test_refits_vary_as_other_logs_do():
 def test_a_refit_draws_no_residual_of_an_episode_that_it_leaves_out(target):
     """Neither from all rows nor from those near by."""
     corrected = ResidualSimulator(Line(), line_log(target, 2000, steps=100), seed=0)
-    assert corrected._scatter.local == isinstance(target, Gusty)
+    assert (corrected._scatter.near is not None) == isinstance(target, Gusty)
     quantiles = np.column_stack(
         [np.zeros(4000), np.random.default_rng(0).normal(size=4000)]
     )
@@ -615,7 +619,7 @@ def test_a_stop_is_the_corrected_step_s_not_the_simulator_s(force):
 
 def test_what_is_lost_at_a_stop_pushes_the_others_as_the_log_says():
     _, after, (there, _), corrected = one_step(Cart(0.8, loss=0.25), Cart(loss=0.5))
-    for push in corrected._stops.pushes.values():
+    for push in corrected._pushes.values():
         assert_allclose(push, [[0.0, 0.0, -0.25]], atol=1e-6)
     assert np.quantile(after[there, 2], 0.9) < 1e-6
 
@@ -663,7 +667,7 @@ def found(following, own=None, is_angle=None):
     no_angles = np.zeros(following.shape[1], dtype=bool)
     own = following if own is None else own
     angles = no_angles if is_angle is None else np.array(is_angle)
-    return Stops(np.zeros_like(following), following, own, angles)
+    return find_stops(np.zeros_like(following), following, own, angles)
 
 
 def moved(wall=1.0, still=True, n=2000):

@@ -13,9 +13,14 @@ from scipy import sparse
 from scipy.integrate import solve_ivp
 
 import oee_tabular as oee
-from oee_tabular.continuous.cartpole import ANGLE_LIMIT, EXPERT
-from oee_tabular.continuous.gen3 import HOME, STEP, end_effector, resolved_rates
-from oee_tabular.continuous.reacher import STOP, fingertip, joint_angles, link_bodies
+from oee_tabular.continuous.task.cartpole import ANGLE_LIMIT, EXPERT
+from oee_tabular.continuous.task.gen3 import HOME, STEP, end_effector, resolved_rates
+from oee_tabular.continuous.task.reacher import (
+    STOP,
+    fingertip,
+    joint_angles,
+    link_bodies,
+)
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
     CartPole,
@@ -457,7 +462,7 @@ def test_resolved_rates_move_the_hand_as_asked():
 
 def test_mujoco_agrees_with_the_kinematics():
     mujoco = needs_mujoco()
-    from oee_tabular.continuous.gen3 import arm_xml
+    from oee_tabular.continuous.task.gen3 import arm_xml
 
     model = mujoco.MjModel.from_xml_string(arm_xml())
     data = mujoco.MjData(model)

@@ -13,7 +13,7 @@ import pytest
 
 import oee_tabular as oee
 from oee_tabular.continuous.command import continuous_simulator
-from oee_tabular.continuous.rows import calibrated_row
+from oee_tabular.continuous.evaluation.on_cells import calibrated_row
 from oee_tabular.estimators import (
     Estimate,
     ImportanceSampling,

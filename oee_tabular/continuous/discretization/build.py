@@ -56,7 +56,7 @@ from scipy.spatial import cKDTree
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
-from oee_tabular.continuous.cells import (
+from oee_tabular.continuous.discretization.cells import (
     Grid,
     Places,
     VoronoiCells,
@@ -65,15 +65,18 @@ from oee_tabular.continuous.cells import (
     indicator,
     spread_over_pairs,
 )
-from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.discretization.model import (
+    Discretization,
+    uniform_policy_of,
+)
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
     check_states,
     require_log_of,
 )
+from oee_tabular.continuous.task.episodes import record
 from oee_tabular.exceptions import ArgumentError, DiscretizationWarning
 from oee_tabular.typing import Array, RealArrayLike, Seed
 

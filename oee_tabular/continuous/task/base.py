@@ -22,12 +22,12 @@ from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._results import checked
-from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.discretization import CellsLike
+    from oee_tabular.continuous.discretization.build import CellsLike
 else:
     CellsLike: TypeAlias = Any  # for ``typing.get_type_hints``
 

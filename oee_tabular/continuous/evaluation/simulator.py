@@ -1,13 +1,12 @@
 """Continuous simulators with the configuration by which logs are evaluated in them.
 
 The task of a ``ContinuousSimulator`` has finitely many actions; which of a Gymnasium
-action space, ``gymnasium_named.action_set`` chooses. Policies may give commands or
-numbers of actions in place of probabilities (``as_probabilities``).
+action space, ``gymnasium_named.action_set`` chooses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias, TypedDict
 
@@ -17,20 +16,23 @@ from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
-from oee_tabular.continuous.discretization import CellsLike, VisitedCells, discretize
-from oee_tabular.continuous.discretized import (
+from oee_tabular.continuous.discretization.build import (
+    CellsLike,
+    VisitedCells,
+    discretize,
+)
+from oee_tabular.continuous.discretization.model import (
     Discretization,
     Outside,
     uniform_policy_of,
 )
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import (
-    BadPolicy,
+from oee_tabular.continuous.evaluation.policies import as_probabilities
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
-    ask_policy,
 )
+from oee_tabular.continuous.task.episodes import record
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, Seed
 
@@ -49,118 +51,6 @@ class Speed(TypedDict):
 
 # the settings of tasks that step one state at a time
 SLOW: Speed = {"episodes": 2000, "refit_paths": 200, "refits": 10}
-
-
-def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
-    """Return a policy as one that gives probabilities (n, A).
-
-    The policy may give, for states (n, d), probabilities (n, A), action numbers (n,) or
-    commands (n, k). A command between those of a product grid is shared out among its
-    neighbours so that its mean is kept; elsewhere the nearest of ``actions`` (A, k) is
-    taken.
-
-    Examples
-    --------
-    >>> brake = as_probabilities(
-    ...     lambda states: -states, np.array([[-1.0], [0.0], [1.0]])
-    ... )
-    >>> brake(np.array([[0.25], [4.0]])).tolist()
-    [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
-    >>> # -0.5 becomes -1 or 0, and -4 is cut to -1: sqrt(0.5^2 / 2)
-    >>> brake.rounding(np.array([[0.5], [4.0]]))
-    (0.3535533905932738, 0.5)
-    """
-    _checks.function(policy, "policy")
-    if isinstance(policy, CommandPolicy):
-        return policy
-    return CommandPolicy(policy, actions)
-
-
-@dataclass(frozen=True, eq=False)
-class CommandPolicy:
-    """A policy of states as probabilities of ``actions``; made by ``as_probabilities``.
-
-    Attributes
-    ----------
-    policy : function
-        The policy as it was given.
-    actions : ndarray of shape (A,) or (A, k)
-        The task's actions.
-    """
-
-    policy: Callable[[Array], Any]
-    actions: Array
-
-    def __call__(self, states: Array) -> Array:
-        """Return probabilities (n, A).
-
-        What is neither probabilities, numbers nor commands is returned as it is.
-        """
-        return self._play(states)[0]
-
-    def rounding(self, states: Array) -> tuple[float, float]:
-        """Compute how far the actions are from the commands, and the share that is cut.
-
-        The distance is a root mean square. Commands are cut where they lie beyond the
-        range of the actions.
-        """
-        weights, commands = self._play(states)
-        if commands is None:
-            return 0.0, 0.0
-        actions = self.actions
-        inside = np.clip(commands, actions.min(axis=0), actions.max(axis=0))
-        # E|a - c|^2 = E|a|^2 + c (c - 2 E a), a the action and c the command
-        apart = (inside * (inside - 2.0 * weights @ actions)).sum(axis=1)
-        squares = weights @ (actions**2).sum(axis=1) + apart
-        distance = float(np.sqrt(max(0.0, squares.mean())))
-        return distance, float((commands != inside).any(axis=1).mean())
-
-    def _play(self, states: Array) -> tuple[Array, Array | None]:
-        """Return probabilities, and the commands (n, k) where the policy gave such."""
-        found = np.asarray(ask_policy(self.policy, states))
-        n = len(states)
-        actions = self.actions
-        if found.shape == (n, len(actions)):
-            return found, None
-        if actions.ndim == 1 and found.shape == (n,) and found.dtype.kind in "iu":
-            bad = np.flatnonzero((found < 0) | (found >= len(actions)))
-            if bad.size:
-                raise BadPolicy(
-                    f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is"
-                    f" {found[bad[0]]}"
-                )
-            return np.eye(len(actions))[found], None
-        commands = found[:, None] if found.ndim == 1 else found
-        if actions.ndim == 1 or commands.shape != (n, actions.shape[1]):
-            return found, None
-        odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
-        if odd.size:
-            raise BadPolicy(
-                f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}"
-            )
-        commands = commands.astype(np.float64)
-        return _interpolate_weights(commands, actions), commands
-
-
-def _interpolate_weights(commands: Array, actions: Array) -> Array:
-    """Compute multilinear weights (n, A) on a product grid of actions.
-
-    Where the actions are no product grid, the nearest has the weight 1.
-    """
-    levels = [np.unique(column) for column in actions.T]
-    shape = tuple(len(each) for each in levels)
-    n_unique = len(np.unique(actions, axis=0))
-    if np.prod(shape) != len(actions) or n_unique != len(actions):
-        distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
-        return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
-    weights = np.ones((len(commands), 1))
-    for column, each in zip(commands.T, levels, strict=True):
-        parts = [np.interp(column, each, one) for one in np.eye(len(each))]
-        own = np.column_stack(parts)
-        weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
-    columns = zip(actions.T, levels, strict=True)
-    place = [np.searchsorted(each, column) for column, each in columns]
-    return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
 
 
 @suggest_keywords

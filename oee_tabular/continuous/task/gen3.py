@@ -26,9 +26,9 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import ContinuousTask
+from oee_tabular.continuous.task.episodes import record
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, IntArray, RealArrayLike, Seed
 
@@ -49,7 +49,9 @@ def arm_xml() -> str:
     It has published geometry, masses, inertias and limits, and assumed armature and
     servo gains.
     """
-    return resources.files("oee_tabular.continuous").joinpath("gen3.xml").read_text()
+    return (
+        resources.files("oee_tabular.continuous.task").joinpath("gen3.xml").read_text()
+    )
 
 
 @functools.cache
@@ -359,7 +361,7 @@ def record_goals(
 
     Examples
     --------
-    >>> from oee_tabular.continuous.kinova import ideal_hand
+    >>> from oee_tabular.continuous.task.kinova import ideal_hand
     >>> # no arm, only commands that move it too far
     >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)
     >>> len(log), log.n_state, int(log.truncated.sum())

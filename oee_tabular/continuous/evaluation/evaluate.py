@@ -14,40 +14,47 @@ from functools import cache, partial
 from typing import Any, Literal
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import conform
-from oee_tabular.continuous.correction import (
+from oee_tabular.continuous.correction.choice import choose_correction
+from oee_tabular.continuous.correction.linear_model import LinearModel
+from oee_tabular.continuous.correction.parameters import (
     ParameterFit,
-    choose_correction,
-    describe_flaw,
-    difference,
     fit_parameters,
     parameters_of,
 )
-from oee_tabular.continuous.episodes import MonteCarlo
-from oee_tabular.continuous.history import consecutive
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.regression import LinearModel
-from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.rows import OnCells, Rollouts, Row, refuse_impossible
-from oee_tabular.continuous.simulator import (
+from oee_tabular.continuous.correction.residual import ResidualSimulator
+from oee_tabular.continuous.correction.sentences import (
+    describe_flaw,
+    difference,
+)
+from oee_tabular.continuous.evaluation.on_cells import OnCells
+from oee_tabular.continuous.evaluation.policies import (
     CommandPolicy,
+    as_probabilities,
+)
+from oee_tabular.continuous.evaluation.rollouts import (
+    Rollouts,
+    Row,
+    refuse_impossible,
+)
+from oee_tabular.continuous.evaluation.sampling import sampling_rows
+from oee_tabular.continuous.evaluation.simulator import (
     ContinuousSimulator,
     Settings,
-    as_probabilities,
     as_simulator,
 )
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
     check_probabilities,
     require_log_of,
 )
-from oee_tabular.data import Transitions
+from oee_tabular.continuous.task.episodes import MonteCarlo
 from oee_tabular.estimators import (
     Estimate,
     Estimator,
@@ -64,7 +71,6 @@ from oee_tabular.exceptions import (
     DiscretizationWarning,
     NoCellsError,
 )
-from oee_tabular.mdp import FiniteMDP
 from oee_tabular.report import (
     Report,
     Result,
@@ -470,51 +476,6 @@ def _require_no_premises(**premises: object) -> None:
                 "must be left out without cells: it is about the transitions of a finite"
                 " simulator",
             )
-
-
-def sampling_rows(
-    wanted: Mapping[str, Estimator],
-    log: ContinuousTransitions,
-    n_actions: int,
-    horizon: int,
-    discount: float,
-) -> dict[str, Row]:
-    """Return importance sampling rows by name, on the episodes of a log.
-
-    The log's actions are numbers. Row i of the log is state i; whatever is done there,
-    the row that follows in its episode comes, or the end, state n. What follows a
-    truncated episode is not known; it is not the end.
-    """
-    if not wanted:
-        return {}
-    n = len(log)
-    before, after = consecutive(log)
-    following = np.append(np.where(log.terminated, n, 0), n)
-    following[before] = after
-    entries = (
-        np.ones((n + 1) * n_actions),
-        np.repeat(following, n_actions),
-        np.arange((n + 1) * n_actions + 1),
-    )
-    kernel = sparse.csr_array(entries, shape=((n + 1) * n_actions, n + 1))
-    rewards = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
-    mdp = FiniteMDP(kernel, rewards, np.full(n + 1, 1.0 / (n + 1)), discount)
-    columns: dict[str, Any] = log.columns() | {
-        "state": np.arange(n),
-        "next_state": following[:n],
-    }
-    columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
-    if log.reward is None:  # without rewards there is nothing to average
-        columns |= {"episode": None, "timestep": None}
-    problem = Problem(mdp, Transitions(**columns), horizon=horizon)
-
-    def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
-        """Estimate a policy's value by its probabilities in the log's own states."""
-        table = check_probabilities(policy, log.state, n_actions)
-        at_end = np.full(n_actions, 1.0 / n_actions)
-        return estimator(problem, np.vstack([table, at_end]))
-
-    return {name: partial(weigh, estimator) for name, estimator in wanted.items()}
 
 
 def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:

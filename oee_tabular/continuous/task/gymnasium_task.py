@@ -22,8 +22,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import conform
-from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.log.transitions import RECORDED, ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     NO_CHANCE,
     Chance,
     ContinuousTask,

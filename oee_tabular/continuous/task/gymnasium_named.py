@@ -30,8 +30,12 @@ from oee_tabular._arguments import (
     parse_spec,
 )
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
+from oee_tabular.continuous.evaluation.simulator import (
+    SLOW,
+    ContinuousSimulator,
+    as_simulator,
+)
+from oee_tabular.continuous.task.gymnasium_task import GymnasiumTask
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.tasks.toy_text import environment_exists
 from oee_tabular.typing import Array, BoolArray, RealArrayLike

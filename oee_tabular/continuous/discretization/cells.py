@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from oee_tabular import _checks
 from oee_tabular._progress import progress_bar
 from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.task.base import ContinuousTask
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray

@@ -11,8 +11,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
-from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.log.transitions import RECORDED, ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     Moves,
     StatePolicy,

@@ -44,10 +44,11 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked
-from oee_tabular.continuous import gen3
-from oee_tabular.continuous.cells import each_action
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.gen3 import (
+from oee_tabular.continuous.discretization.cells import each_action
+from oee_tabular.continuous.task import gen3
+from oee_tabular.continuous.task.base import Moves
+from oee_tabular.continuous.task.episodes import record
+from oee_tabular.continuous.task.gen3 import (
     COMMANDS,
     GOALS,
     HOME,
@@ -59,7 +60,6 @@ from oee_tabular.continuous.gen3 import (
     load_kinova_log,
     record_goals,
 )
-from oee_tabular.continuous.task import Moves
 from oee_tabular.typing import Array, IntArray, Seed
 
 __all__ = [

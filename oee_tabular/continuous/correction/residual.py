@@ -18,7 +18,6 @@ weighted. Cells, ratios and exact values can come after it, as after any simulat
 from __future__ import annotations
 
 import copy
-import itertools
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -28,17 +27,33 @@ from scipy.special import ndtr
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
-from oee_tabular.continuous.history import HistoryEffect, history_effects
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.regression import (
+from oee_tabular.continuous.correction.hidden_state import (
+    HistoryEffect,
+    history_effects,
+)
+from oee_tabular.continuous.correction.neighbors import Neighbors
+from oee_tabular.continuous.correction.regression import (
     Fit,
     Functions,
     Grams,
     draw_groups,
     episode_groups,
 )
-from oee_tabular.continuous.scatter import Neighbors, Scatter, Stops, root_mean_square
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.correction.scatter import (
+    draw_residuals,
+    measure_scatter,
+    root_mean_square,
+)
+from oee_tabular.continuous.correction.stops import (
+    find_stops,
+    free_steps,
+    hold_steps,
+    learn_pushes,
+    push_steps,
+)
+from oee_tabular.continuous.correction.units import other_units
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     DerivedTask,
     Moves,
@@ -59,19 +74,6 @@ MIN_STANDARD_ERRORS = 3.0  # where g explains more, the target differs
 MIN_HIDDEN_SHARE = 0.1
 MIN_HIDDEN_DEVIATIONS = 0.03  # of a step's own deviation: less is no hidden state
 MAX_SCATTER_DIFFERENCE = 0.05  # share by which two equal scatters may differ
-UNITS = {  # units of a column, and their factors to the simulator's
-    "degrees for radians": np.pi / 180.0,
-    "radians for degrees": 180.0 / np.pi,
-    "mm for m": 1e-3,
-    "m for mm": 1e3,
-    "cm for m": 1e-2,
-    "m for cm": 1e2,
-}
-N_UNIT_ROWS = 500  # rows of the log by which units are judged
-MAX_UNIT_COORDINATES = 8  # with more coordinates units are not judged
-# shares of a displacement: more is missed in a wrong unit, less in the right one
-MIN_WRONG_UNIT_MISS = 0.5
-MAX_RIGHT_UNIT_MISS = 0.1
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,7 @@ class ResidualSimulator(DerivedTask):
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log, actions, self._periods)
-        self._stops = Stops(
+        self._stops = find_stops(
             log.state, log.next_state, own.next_state, self._periods > 0
         )
         self._known_ends = np.concatenate([log.terminated, own.terminated])
@@ -272,7 +274,7 @@ class ResidualSimulator(DerivedTask):
         )
         is_free = ~self._stops.is_stopped(log.next_state)
         is_smooth = self._fit(log, actions, own, is_free, rng)
-        self._scatter = Scatter(
+        self._scatter = measure_scatter(
             task, log, actions, own, self.left_over, is_free, self._periods, rng
         )
         self._is_free = is_free
@@ -292,7 +294,7 @@ class ResidualSimulator(DerivedTask):
         Rows are smooth where g leaves no outlying residual.
         """
         d = self.n_state
-        free = self._stops.free(self.task, log.state, actions, own.next_state)
+        free = free_steps(self._stops, self.task, log.state, actions, own.next_state)
         self.residuals = shortest(
             log.next_state - np.where(is_free[:, None], free, own.next_state),
             self._periods,
@@ -324,11 +326,13 @@ class ResidualSimulator(DerivedTask):
                 break
         self.left_over = self.residuals - added
         following = free + added[:, :d]
-        self._stops.learn(
-            following, following + shortest(log.next_state - following, self._periods)
+        self._pushes = learn_pushes(
+            self._stops,
+            following,
+            following + shortest(log.next_state - following, self._periods),
         )
-        stopped = self._clip(self._stops.push(following))
-        self._stops.hold(stopped)
+        pushed = push_steps(self._stops, self._pushes, following)
+        stopped = hold_steps(self._stops, self._clip(pushed))
         left = shortest(log.next_state - stopped, self._periods)
         self.left_over[~is_free, :d] = left[~is_free]
         return last
@@ -514,11 +518,13 @@ class ResidualSimulator(DerivedTask):
         own = self.task.noiseless_step(states, actions)
         free = own.next_state
         if not self._is_zero:
-            free = self._stops.free(self.task, states, actions, own.next_state)
+            free = free_steps(self._stops, self.task, states, actions, own.next_state)
         added = self._correction(states, actions, free)
         if scatter.drawn.any():
-            added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
-        following = self._stops.push(free + added[:, : self.n_state])
+            uniform = ndtr(disturbance[:, -1])
+            added += draw_residuals(scatter, states, actions, uniform)
+        moved = free + added[:, : self.n_state]
+        following = push_steps(self._stops, self._pushes, moved)
         if scatter.own.any():
             xi = disturbance[:, : self.task.n_disturbances]
             noise = self.task.moves(states, actions, xi).next_state - own.next_state
@@ -527,7 +533,7 @@ class ResidualSimulator(DerivedTask):
             # what the correction left as it was keeps the simulator's bits
             is_changed = following != own.next_state
             following = np.where(is_changed, self._clip(following), following)
-        self._stops.hold(following)
+        following = hold_steps(self._stops, following)
         ends = own.terminated
         if self.terminates and self._knows_ends:
             ends = self.task.terminated(following)
@@ -614,49 +620,3 @@ class ResidualSimulator(DerivedTask):
             "corrected_by_moves": len(self.residuals),
             "correction": learned,
         }
-
-
-def other_units(
-    task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array
-) -> str:
-    """Describe which columns are in another unit than the simulator's, and in which.
-
-        miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),
-        c a factor for each column
-
-    Columns are tried one by one, and in pairs by the same factor: it is the least sum
-    of misses of those that bring a coordinate from more than half to less than a tenth.
-    Returns "" where no column is in another unit, or no factor makes steps alike. Costs
-    one call of f with 500 rows, some 200 where a coordinate is missed.
-    """
-    d = task.n_state
-    rows = np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64)
-    if d > MAX_UNIT_COORDINATES:
-        return ""
-
-    def miss(factors: Array) -> Array:
-        """Return the share (d,) of each displacement that the simulator misses."""
-        before = factors * log.state[rows]
-        after = factors * log.next_state[rows]
-        with np.errstate(all="ignore"):  # states that no simulator was made for
-            own = task.noiseless_step(before, actions[rows]).next_state
-            left = (shortest(after - own, periods) ** 2).sum(axis=0)
-            moved = (shortest(after - before, periods) ** 2).sum(axis=0)
-        share = np.minimum(1.0, left / np.where(moved > 0, moved, 1.0))
-        return np.asarray(np.where(moved > 0, share, 0.0))
-
-    plain = miss(np.ones(d))
-    is_missed = plain > MIN_WRONG_UNIT_MISS
-    least = plain.sum()
-    text = ""
-    if not is_missed.any():
-        return ""
-    groups = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
-    for columns, (unit, factor) in itertools.product(groups, UNITS.items()):
-        missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
-        is_met = is_missed & (missed < MAX_RIGHT_UNIT_MISS)
-        if is_met.any() and missed.sum() < least:
-            names = " and ".join(task.state_names[k] for k in columns)
-            least = missed.sum()
-            text = f"{names} ({unit})"
-    return text

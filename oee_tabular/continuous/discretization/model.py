@@ -15,22 +15,22 @@ from oee_tabular import _checks, _files
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.continuous.cells import (
+from oee_tabular.continuous.discretization.cells import (
     Grid,
     Places,
     VoronoiCells,
     indicator,
     spread_over_pairs,
 )
-from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import (
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
     check_probabilities,
     check_states,
     require_log_of,
 )
+from oee_tabular.continuous.task.episodes import monte_carlo_value
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import KIND, FiniteMDP, check_policy

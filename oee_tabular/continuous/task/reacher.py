@@ -33,9 +33,9 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import ContinuousTask, Moves
+from oee_tabular.continuous.task.episodes import record
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, IntArray, Seed
 

@@ -1,0 +1,218 @@
+"""The choice among corrections of a simulator, by their error on held-out episodes.
+
+The error is that of one step f + g, mean square over every row of the log in units of
+the displacement's variance, summed over coordinates (``Coordinate.unexplained``).
+Fitted parameters come first where it is no larger with them. Actions enter the state
+where earlier ones explain residuals, and as many as bring the error within a hundredth
+of a step of the least. Where something hidden remains, no correction of a Markov state
+can be trusted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+from oee_tabular import _progress
+from oee_tabular.continuous.correction.hidden_state import (
+    MAX_LAG,
+    hidden_state,
+)
+from oee_tabular.continuous.correction.history import (
+    HistoryTask,
+    check_n_actions,
+)
+from oee_tabular.continuous.correction.parameters import ParameterFit
+from oee_tabular.continuous.correction.residual import ResidualSimulator
+from oee_tabular.continuous.correction.sentences import (
+    describe_count,
+    describe_flaw,
+    describe_history,
+)
+from oee_tabular.continuous.log.transitions import ContinuousTransitions
+from oee_tabular.continuous.task.base import (
+    ContinuousTask,
+    StatePolicy,
+)
+from oee_tabular.typing import Seed
+
+MIN_GAIN = 0.01  # of a step's own deviation: a history that brings less is not kept
+# share of the hidden part that may be left with a history, for its value to be trusted
+MAX_HIDDEN_LEFT = 0.2
+MAX_ERROR_RATIO = 1.05  # of the errors with and without fitted parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A simulator corrected by a log, and what was compared.
+
+    Attributes
+    ----------
+    learned : ResidualSimulator
+        The corrected simulator, of a ``HistoryTask`` where ``steps`` is positive.
+    steps : int
+        The number of last actions in its state.
+    fit : ParameterFit or None
+        The fit of the parameters, where it was taken.
+    plain : ResidualSimulator
+        The correction of the simulator as it was given, without history.
+    reason : str
+        Sentences on what was taken and why.
+    """
+
+    learned: ResidualSimulator
+    steps: int
+    fit: ParameterFit | None
+    plain: ResidualSimulator
+    reason: str
+
+    @cached_property
+    def is_trusted(self) -> bool:
+        """Return whether at most a fifth of what is hidden is left."""
+        return (
+            not self.learned.units
+            and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
+        )
+
+    @property
+    def name(self) -> str:
+        """Return the name of its row in a report."""
+        parts = ["residual"]
+        if self.fit is not None:
+            parts.insert(0, "parameters")
+        if self.steps > 0:
+            parts.append(f"last {describe_count(self.steps)}")
+        return f"oee ({', '.join(parts)})"
+
+    @property
+    def status(self) -> str:
+        """Return "ok", or why the corrected simulator's value cannot be trusted."""
+        return "ok" if self.is_trusted else describe_flaw(self.learned)
+
+    def policy(self, policy: StatePolicy) -> StatePolicy:
+        """Return a policy of the simulator's states as one of the corrected states."""
+        if isinstance(self.learned.task, HistoryTask) and self.steps:
+            return self.learned.task.policy(policy)
+        return policy
+
+    def advice(self, *, is_auto: bool) -> str:
+        """Advise what to do where history matters and no correction can be trusted.
+
+        Returns "" elsewhere.
+        """
+        if self.is_trusted or self.learned.units:
+            return ""
+        if not is_auto:
+            return "Use history auto, which tries up to five last actions in the state."
+        text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
+        if self.steps:
+            share = self.learned.hidden_part / self.plain.hidden_part
+            text = (
+                f"With the last {self.steps} actions in the state, {share:.0%} of that"
+                " effect is left."
+            )
+        return (
+            f"{text} Sensor noise, a slow actuator, or a quantity that is not recorded"
+            " may be the cause. Filter the states, or record what is missing. Until"
+            " then read the simulator's value, which has no interval."
+        )
+
+
+def choose_correction(
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    *,
+    history: int | Literal["auto"] = "auto",
+    fit: ParameterFit | None = None,
+    seed: Seed = None,
+) -> Correction:
+    """Correct the simulator by the log in the way that has the least held-out error.
+
+    Parameters
+    ----------
+    task : ContinuousTask
+        The simulator.
+    log : ContinuousTransitions
+        A log of the target.
+    history : int or 'auto', default 'auto'
+        The number of last actions in the state; 'auto' chooses among 0 to 5.
+    fit : ParameterFit, optional
+        A fit of the simulator's parameters, which is compared with none.
+    seed : int, Generator or SeedSequence, optional
+        The source of random numbers, as in ``ResidualSimulator``.
+
+    Returns
+    -------
+    Correction
+        The correction.
+    """
+    is_auto = isinstance(history, str) and history == "auto"
+    given: Any = history
+    if not is_auto:
+        history = check_n_actions(given, "history")
+    _progress.report_step("correction of the simulator by the log")
+    plain = ResidualSimulator(task, log, seed=seed)
+
+    def correct(base: ResidualSimulator, fit: ParameterFit | None) -> Correction:
+        """Correct ``base`` with as much history as is asked for."""
+        learned, steps = _add_history(base, log, history, seed)
+        return Correction(
+            learned, steps, fit, plain, describe_history(base, learned, steps, is_auto)
+        )
+
+    chosen = correct(plain, None)
+    if fit is None:
+        return chosen
+    fitted = ResidualSimulator(fit.task, log, seed=seed)
+    both = correct(fitted, fit)
+    errors = [each.learned.held_out_error for each in (both, chosen)]
+    is_taken = errors[0] <= MAX_ERROR_RATIO * errors[1]
+    words = ("fitted", "no larger") if is_taken else ("given", "smaller")
+    text = (
+        f"{fit.describe()} The value in front corrects the residuals of the {words[0]}"
+        f" simulator, because its held-out one-step error is {words[1]}"
+        f" ({errors[0] ** 0.5:.2g} of a step's standard deviation with fitted"
+        f" parameters, {errors[1] ** 0.5:.2g} without)."
+    )
+    if hidden_state(fitted):
+        text += (
+            " The fit ignores history, which matters here. Do not read its numbers as"
+            " physics."
+        )
+    chosen = both if is_taken else chosen
+    return replace(chosen, reason=f"{text} {chosen.reason}".strip())
+
+
+def _add_history(
+    plain: ResidualSimulator,
+    log: ContinuousTransitions,
+    history: int | Literal["auto"],
+    seed: Seed,
+) -> tuple[ResidualSimulator, int]:
+    """Return the correction with the best, or the given, number of last actions."""
+
+    def learn(steps: int) -> ResidualSimulator:
+        """Correct the task with ``steps`` last actions in its state."""
+        actions = "action" if steps == 1 else "actions"
+        _progress.report_step(f"correction with {steps} earlier {actions} in the state")
+        whole = HistoryTask(plain.task, steps)
+        return ResidualSimulator(whole, whole.log(log), seed=seed)
+
+    if history != "auto":
+        return learn(history) if history else plain, history
+    hidden = [c.history for c in plain.coordinates if c.hidden]
+    if not hidden or plain.units:
+        return plain, 0
+    first = max(hidden, key=lambda effect: effect.lag_r_squared)
+    tried = {0: plain}
+    for steps in range(first.lag if first.of == "action" else 1, MAX_LAG + 1):
+        tried[steps] = learn(steps)
+        *before, last = (each.held_out_error**0.5 for each in tried.values())
+        if min(before) - last < MIN_GAIN / 3.0:
+            break
+    least = min(each.held_out_error for each in tried.values()) ** 0.5
+    most = least + MIN_GAIN
+    return next(
+        (each, k) for k, each in tried.items() if each.held_out_error**0.5 <= most
+    )

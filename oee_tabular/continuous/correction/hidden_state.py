@@ -1,0 +1,219 @@
+"""A test of whether earlier actions matter, which the state would have to include.
+
+Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a).
+What a correction g leaves over is then predicted by the actions and the residuals of
+earlier steps, y_t by a_{t-1}, ..., a_{t-5} and y_{t-1}, ..., y_{t-5}. Independent
+residuals cannot carry that, and every value that takes the state to be Markov is wrong.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from oee_tabular.continuous.correction.neighbors import Neighbors
+from oee_tabular.continuous.log.transitions import (
+    ContinuousTransitions,
+)
+from oee_tabular.continuous.task.base import (
+    ContinuousTask,
+)
+from oee_tabular.typing import Array, BoolArray, IntArray
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.correction.residual import ResidualSimulator
+from oee_tabular.continuous.correction.history import earlier_rows
+
+# what of an earlier step matters
+Kind: TypeAlias = Literal["action", "residual"]
+FOLDS = 4
+MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
+# rows by which the test is made; slow tasks step one state at a time
+MIN_ROWS = 200
+MAX_ROWS = 20_000
+MAX_SLOW_ROWS = 3000
+N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
+NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
+MAX_CLIPPED = 8.0  # root mean squares: what rows at contacts count at most
+# What is explained must be so many standard errors over rows from 0, which fewer than
+# 16 rows cannot make it.
+MIN_STANDARD_ERRORS = 4.0
+
+
+@dataclass(frozen=True)
+class HistoryEffect:
+    """What earlier actions and residuals explain of one coordinate's residual.
+
+    Attributes
+    ----------
+    r_squared : float
+        The share of its mean square that all of the last five explain, on episodes to
+        which the regression was not fitted.
+    lag : int
+        How many steps back the action or residual lies that alone explains most.
+    of : {'action', 'residual'}
+        Which of the two it is.
+    lag_r_squared : float
+        The share of the mean square that it explains.
+    part : float
+        The root mean square of what they explain, in the coordinate's unit. Rows far
+        from the others count with at most ``MAX_CLIPPED`` root mean squares.
+    """
+
+    r_squared: float = 0.0
+    lag: int = 1
+    of: Kind = "action"
+    lag_r_squared: float = 0.0
+    part: float = 0.0
+
+
+def history_effects(
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    actions: IntArray,
+    residuals: Array,
+    group: IntArray,
+    *,
+    is_smooth: BoolArray,
+    is_free: BoolArray,
+    least: Array,
+) -> list[HistoryEffect]:
+    """Compute what history explains of each coordinate's residual.
+
+    What the action's own mean and the residuals near by explain is taken off first.
+    Linear regressions on the last five actions, the steps that the simulator makes
+    under them, and the last five residuals are fitted on smooth rows (no contacts), and
+    on the actions alone at all free rows (no stops), because a delay of a command that
+    rarely changes is a rare large residual too. There is no effect where fewer than 200
+    rows follow another, or where what is explained is below ``least`` (k,) among the
+    rows that were looked at: a few odd rows do not make it larger.
+    """
+    earlier = earlier_rows(log, MAX_LAG)
+    n_most = MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS
+    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[:n_most]
+    best = [HistoryEffect() for _ in residuals.T]
+    if len(rows) < MIN_ROWS:
+        return best
+    # the last code stands for no action, as row -1 stands for no row
+    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
+    own = task.noiseless_step(log.state[rows], actions[rows]).next_state
+    acted = []
+    # inputs are which action was taken then, and where the simulator would go under it
+    for back in earlier[rows].T:
+        then = np.where(back >= 0, actions[back], actions[rows])
+        other = task.noiseless_step(log.state[rows], then).next_state - own
+        scale = other.std(axis=0)
+        acted.append(
+            np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]])
+        )
+    for is_usable, has_residuals in ((is_smooth, True), (is_free, False)):
+        used = rows[is_usable[rows]]
+        if len(used) < MIN_ROWS:
+            continue
+        unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
+        scaled = residuals / np.where(unit > 0, unit, 1.0)
+        y = np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None]
+        blocks: dict[tuple[int, Kind], Array] = {}
+        for k, block in enumerate(acted, start=1):
+            blocks[k, "action"] = block[is_usable[rows]]
+        if has_residuals:
+            padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
+            for k, back in enumerate(earlier[used].T, start=1):
+                blocks[k, "residual"] = padded[back]
+        near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
+        x = np.column_stack([codes[used], near])
+        target = y[used]
+        fold = group[used] % FOLDS
+        plain = _errors_held_out([x], target, fold)
+        total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
+        gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
+        shares: dict[tuple[int, Kind], Array] = {}
+        for key, block in blocks.items():
+            alone = _errors_held_out([x, block], target, fold)
+            shares[key] = (plain - alone).sum(axis=0) / total
+        whole = gained.sum(axis=0) / total
+        size = unit * np.sqrt((target**2).mean(axis=0))
+        n_deviations = MIN_STANDARD_ERRORS * len(used) ** 0.5
+        is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
+        is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
+        is_better = whole > [effect.r_squared for effect in best]
+        for target_number in np.flatnonzero(is_sure & is_large & is_better):
+            k = int(target_number)
+            (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
+            best[k] = HistoryEffect(
+                float(whole[k]),
+                lag,
+                kind,
+                float(share[k]),
+                float(whole[k] ** 0.5 * size[k]),
+            )
+    return best
+
+
+def hidden_state(learned: ResidualSimulator) -> str:
+    """Describe which earlier action or residual matters most to a correction.
+
+    Returns "" where the state is Markov.
+    """
+    hidden = [c for c in learned.coordinates if c.hidden]
+    # coordinates that are equal to rounding stay in the task's order
+    hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))
+    if not hidden:
+        return ""
+    effect = hidden[0].history
+    key = (effect.lag, effect.of)
+    same = [c.name for c in hidden if (c.history.lag, c.history.of) == key]
+    text = (
+        f"the {effect.of} of {NUMBERS[effect.lag]} ago explains"
+        f" {effect.lag_r_squared:.0%} of the residual in "
+    )
+    if len(same) > 1:
+        text += f"{', '.join(same[:-1])} and {same[-1]}"
+    else:
+        text += same[0]
+    more = (
+        f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together:"
+        f" {effect.r_squared:.0%})"
+    )
+    return text + more if effect.r_squared > effect.lag_r_squared + 0.05 else text
+
+
+def _mean_near(
+    task: ContinuousTask,
+    states: Array,
+    actions: IntArray,
+    y: Array,
+    is_usable: BoolArray,
+    group: IntArray,
+) -> Array:
+    """Compute the mean (n, k) of the nearest rows of the same action in other folds.
+
+    It is what (s, a) explains, however rough.
+    """
+    neighbors = Neighbors(task, states)
+    mean = np.zeros_like(y)
+    fold = group % FOLDS
+    for a, f in itertools.product(np.unique(actions), range(FOLDS)):
+        here = np.flatnonzero((actions == a) & (fold == f))
+        there = np.flatnonzero((actions == a) & (fold != f) & is_usable)
+        if len(here) and len(there) >= N_NEIGHBORS:
+            near = neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))
+            mean[here] = y[near].mean(axis=1)
+    return mean
+
+
+def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
+    """Compute squared errors (n, k) of a linear regression on held-out folds."""
+    x = np.column_stack(inputs)
+    errors = np.empty_like(y)
+    for f in range(FOLDS):
+        inside = fold == f
+        outside = fold != f
+        gram = x[outside].T @ x[outside]
+        gram[np.diag_indices_from(gram)] += 1e-6 * max(int(outside.sum()), 1)
+        coefficients = np.linalg.solve(gram, x[outside].T @ y[outside])
+        errors[inside] = (y[inside] - x[inside] @ coefficients) ** 2
+    return errors

@@ -1,0 +1,37 @@
+"""The nearest of a task's states, coordinate by coordinate in its own unit."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from oee_tabular.continuous.task.base import ContinuousTask
+from oee_tabular.typing import Array, IntArray
+
+
+class Neighbors:
+    """States (n, d) of a task among which the nearest are looked for.
+
+    Each coordinate is measured in units of its deviation.
+    """
+
+    def __init__(self, task: ContinuousTask, states: Array) -> None:
+        places = task.smooth(states)
+        self._task = task
+        self._unit = np.maximum(places.std(axis=0), 1e-300)
+        self._places = places / self._unit
+        self._trees: dict[Hashable, cKDTree] = {}
+
+    def find(
+        self, states: Array, rows: IntArray, k: int = 1, *, key: Hashable
+    ) -> IntArray:
+        """Return which of ``rows`` are nearest, (n, k), or (n,) with k = 1.
+
+        ``key`` names these rows, whose tree is kept.
+        """
+        if key not in self._trees:
+            self._trees[key] = cKDTree(self._places[rows])
+        places = self._task.smooth(states) / self._unit
+        return np.asarray(rows[self._trees[key].query(places, k=k)[1]])

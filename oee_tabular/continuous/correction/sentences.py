@@ -1,0 +1,94 @@
+"""What a report says of a correction: differences, flaws, odd rows and history."""
+
+from __future__ import annotations
+
+from oee_tabular.continuous.correction.hidden_state import (
+    MAX_LAG,
+    hidden_state,
+)
+from oee_tabular.continuous.correction.residual import ResidualSimulator
+
+UNITS = "the log's columns seem to be in another unit than the simulator's: "
+
+
+def describe_flaw(learned: ResidualSimulator) -> str:
+    """Describe why a corrected simulator cannot be trusted, or return "ok".
+
+    The columns may be in other units, or history may explain the residuals.
+    """
+    if learned.units:
+        return f"{UNITS}{learned.units}"
+    effect = hidden_state(learned)
+    return (
+        "the next state depends on more than the state and the action (hidden state):"
+        f" {effect}"
+        if effect
+        else "ok"
+    )
+
+
+def difference(corrected: ResidualSimulator) -> str:
+    """Describe in which coordinates the target's steps differ from the simulator's."""
+    changes = ", ".join(
+        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter"
+        f" {c.simulator_scatter:.2g}, {max(c.explained, 0.0):.1%} explained)"
+        for c in corrected.coordinates
+        if c.differs
+    )
+    if not changes:
+        return (
+            "The log shows no difference between the target's steps and the"
+            " simulator's. Its residuals s' - f(s, a) are as large as the simulator's"
+            " own scatter."
+        )
+    text = f"The target's steps differ from the simulator's in {changes}."
+    if corrected.units:
+        return f"{UNITS.capitalize()}{corrected.units}. {text}"
+    text += (
+        " Explained is the share of the residuals' mean square that the correction"
+        " removes."
+    )
+    return text + odd_row(corrected)
+
+
+def odd_row(corrected: ResidualSimulator) -> str:
+    """Describe the row that makes most of the unexplained residual of a coordinate.
+
+    It may be an error. Returns "" where no row alone does so.
+    """
+    for k, c in enumerate(corrected.coordinates):
+        squares = corrected.left_over[:, k] ** 2
+        row = int(squares.argmax())
+        total = float(squares.sum())
+        if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
+            return (
+                f" Row {row} of the log alone makes {squares[row] / total:.0%} of the"
+                f" unexplained residual in {c.name} (by"
+                f" {corrected.left_over[row, k]:.3g}). If it is an error, leave it out,"
+                " because every value depends on it."
+            )
+    return ""
+
+
+def describe_count(steps: int) -> str:
+    """Return how many actions there are, in words after "last"."""
+    return "action" if steps == 1 else f"{steps} actions"
+
+
+def describe_history(
+    plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_auto: bool
+) -> str:
+    """Describe how many last actions are in the state and why; "" where none are."""
+    if not steps:
+        return ""
+    text = f"The value in front has the last {describe_count(steps)} in the state"
+    if not is_auto:
+        return f"{text}." if describe_flaw(learned) == "ok" else ""
+    before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
+    text += (
+        f", because {hidden_state(plain)}. The held-out one-step error falls from"
+        f" {before} to {after} of a step's standard deviation."
+    )
+    if steps == MAX_LAG:
+        text += f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more."
+    return text
