@@ -14,6 +14,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import (
     CHAIN_TOLERANCE,
     ContinuousTransitions,
@@ -23,7 +24,6 @@ from oee_tabular.continuous.task.base import (
     DerivedTask,
     Moves,
     StatePolicy,
-    require_log_of,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, IntArray
@@ -117,8 +117,7 @@ class HistoryTask(DerivedTask):
             If the log has other states than the task, or no episode longer than
             ``steps``.
         """
-        require_log_of(self.task, log)
-        actions = log.action_numbers(self.actions)
+        actions = number_actions(self.task, log)
         earlier = earlier_rows(log, self.steps)
         if self.steps and not (earlier[:, -1] >= 0).any():
             hint = ""

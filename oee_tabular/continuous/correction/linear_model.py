@@ -12,13 +12,13 @@ from oee_tabular import _checks
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.correction.regression import draw_groups
 from oee_tabular.continuous.correction.scatter import Pool, draw_rows
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
     DerivedTask,
     Moves,
     find_periods,
-    require_log_of,
     shortest,
 )
 from oee_tabular.typing import Array, IntArray, Seed
@@ -88,9 +88,8 @@ class LinearModel(DerivedTask):
             _checks.instance(task, ContinuousTask, "task"),
             f"linear model of a log of {task.name}",
         )
-        require_log_of(task, log)
         self.n_disturbances = 1
-        self._actions = log.action_numbers(task.actions)
+        self._actions = number_actions(task, log)
         periods = find_periods(task, log.next_state)
         self._x = self._inputs(log.state)
         self._y = shortest(log.next_state - log.state, periods)

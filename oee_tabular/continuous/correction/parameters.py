@@ -26,11 +26,11 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import checked
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
     find_periods,
-    require_log_of,
     shortest,
 )
 from oee_tabular.exceptions import ArgumentError
@@ -228,8 +228,7 @@ def fit_parameters(
             "start", f"must name parameters that task_of takes: {refusal}"
         ) from refusal
     first = _checks.instance(made, ContinuousTask, "task_of(**start)")
-    require_log_of(first, log)
-    actions = log.action_numbers(first.actions)
+    actions = number_actions(first, log)
     periods = find_periods(first, log.next_state)
     step = -(-len(log) // (MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS))
     moved = shortest(log.next_state - log.state, periods).std(axis=0)

@@ -52,13 +52,13 @@ from oee_tabular.continuous.correction.stops import (
     push_steps,
 )
 from oee_tabular.continuous.correction.units import other_units
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
     DerivedTask,
     Moves,
     find_periods,
-    require_log_of,
     shortest,
 )
 from oee_tabular.typing import Array, BoolArray, IntArray, Seed
@@ -245,9 +245,8 @@ class ResidualSimulator(DerivedTask):
             _checks.instance(task, ContinuousTask, "task"),
             f"{task.name}, corrected by a log",
         )
-        require_log_of(task, log)
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
-        actions = log.action_numbers(task.actions)
+        actions = number_actions(task, log)
         own = task.noiseless_step(log.state, actions)
         self._periods = find_periods(task, own.next_state)
         self._start = np.resize(task.feature_low, self.n_state)

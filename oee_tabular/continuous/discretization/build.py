@@ -69,6 +69,7 @@ from oee_tabular.continuous.discretization.model import (
     Discretization,
     uniform_policy_of,
 )
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
@@ -219,7 +220,7 @@ class GridInterpolation:
             cell = np.repeat(cell, len(box))
         elif log is not None:
             own = check_states(task, log.state, "log.state")
-            chosen = log.action_numbers(task.actions)
+            chosen = number_actions(task, log)
             inside = ~grid.outside(task.features(own))
             own = own[inside]
             chosen = chosen[inside]
@@ -340,7 +341,7 @@ class VisitedCells:
         start = np.repeat(cell[chosen], task.n_actions)
         if log is not None:
             states = np.concatenate([states, own])
-            actions = np.append(actions, log.action_numbers(task.actions))
+            actions = np.append(actions, number_actions(task, log))
             start = np.append(start, cells.nearest(task.features(own))[0])
         pairs = indicator(
             start * task.n_actions + actions, cells.n_cells * task.n_actions

@@ -22,13 +22,13 @@ from oee_tabular.continuous.discretization.cells import (
     indicator,
     spread_over_pairs,
 )
+from oee_tabular.continuous.log.numbering import number_actions
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
     check_probabilities,
     check_states,
-    require_log_of,
 )
 from oee_tabular.continuous.task.episodes import monte_carlo_value
 from oee_tabular.data import Transitions
@@ -564,10 +564,9 @@ class Discretization:
         self, log: ContinuousTransitions, outside: Outside
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """Return the rows that can be encoded, their actions, and which ones end."""
-        require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
         task = self.task
-        actions = log.action_numbers(self.task.actions)
+        actions = number_actions(task, log)
         ended = log.terminated | task.terminated(log.next_state)
         if not task.terminates and log.terminated.any():
             row = int(log.terminated.argmax())

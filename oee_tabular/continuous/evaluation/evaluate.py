@@ -1,47 +1,40 @@
 """Evaluation of policies by a continuous simulator and a log of continuous states.
 
-The rows (``rows``) are functions of a policy, in the order of what they may be trusted
-for (``evaluate_continuous``); where a grid is asked for, a finite problem joins them
-(``rows.OnCells``). What the cells cannot take is said, and the other rows stand.
+``evaluate_continuous`` checks what it is given, then takes four steps: ``prepare`` the
+log and the policies, ``choose_correction``, ``choose_rows``, and assemble the report.
+What the cells cannot take is said, and the other rows stand.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import cache, partial
 from typing import Any, Literal
-
-import numpy as np
 
 from oee_tabular import _checks, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular._results import conform
-from oee_tabular.continuous.correction.choice import choose_correction
-from oee_tabular.continuous.correction.linear_model import LinearModel
+from oee_tabular.continuous.correction.choice import Correction, choose_correction
 from oee_tabular.continuous.correction.parameters import (
     ParameterFit,
     fit_parameters,
     parameters_of,
 )
-from oee_tabular.continuous.correction.residual import ResidualSimulator
 from oee_tabular.continuous.correction.sentences import (
-    describe_flaw,
     difference,
 )
-from oee_tabular.continuous.evaluation.on_cells import OnCells
-from oee_tabular.continuous.evaluation.policies import (
-    CommandPolicy,
-    as_probabilities,
+from oee_tabular.continuous.evaluation.assemble import (
+    Layout,
+    Premises,
+    Sentences,
+    assemble_on_cells,
+    assemble_rows,
 )
+from oee_tabular.continuous.evaluation.prepare import prepare
 from oee_tabular.continuous.evaluation.rollouts import (
     Rollouts,
-    Row,
-    refuse_impossible,
 )
-from oee_tabular.continuous.evaluation.sampling import sampling_rows
+from oee_tabular.continuous.evaluation.rows import choose_rows, split_sampling
 from oee_tabular.continuous.evaluation.simulator import (
     ContinuousSimulator,
     Settings,
@@ -51,43 +44,24 @@ from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
     StatePolicy,
-    check_probabilities,
-    require_log_of,
 )
-from oee_tabular.continuous.task.episodes import MonteCarlo
 from oee_tabular.estimators import (
-    Estimate,
     Estimator,
     ImportanceSampling,
     OffEnvironment,
-    Problem,
     Simulator,
 )
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
-from oee_tabular.estimators.rewards import is_rounded
 from oee_tabular.exceptions import (
     ArgumentError,
-    DiscretizationWarning,
-    NoCellsError,
 )
 from oee_tabular.report import (
     Report,
-    Result,
-    Uncertainty,
-    choose_interval,
-    evaluate,
-    group_findings,
-    number_notes,
 )
 from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
 
 CALIBRATIONS = (*KINDS, "none")
-SIMULATOR = "simulator (continuous)"
-LINEAR = "linear model of the log"
-# A policy's commands are compared with those that are played in so many of the log's
-# states.
-MAX_POLICY_STATES = 1000
 
 
 @suggest_keywords
@@ -263,274 +237,72 @@ def evaluate_continuous(
     steps = simulator.horizon
     if horizon is not None:
         steps = _checks.positive_integer(horizon, "horizon")
-    require_log_of(simulator.task, log)
-    cells = None
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        columns = log.columns() | {
-            "action": log.action_numbers(simulator.task.actions, strict=chosen.strict)
-        }
-        if behavior is not None and log.behavior_probability is None:
-            probabilities = check_probabilities(
-                behavior, log.state, simulator.task.n_actions
-            )
-            columns["behavior_probability"] = probabilities[
-                np.arange(len(log)), columns["action"]
-            ]
-        numbered = ContinuousTransitions(**columns)
-        if chosen.grid is not None:
-            try:
-                cells = OnCells(simulator, numbered, chosen, steps, discount, seed)
-            except NoCellsError as reason:
-                _checks.warn(
-                    f"The rows on the grid are left out: {reason}",
-                    DiscretizationWarning,
-                )
-    of_user = [w for w in caught if issubclass(w.category, UserWarning)]
-    categories = {str(w.message): w.category for w in of_user}
-    messages = list(categories)
-    for message, category in categories.items():
-        _checks.warn(message, category)
-    tables: dict[str, Array] = {}
-    functions: dict[str, StatePolicy] = {}
-    for name, policy in policies.items():
-        if callable(policy):
-            rounded = as_probabilities(policy, simulator.task.actions)
-            functions[name] = rounded
-            rounding = _describe_rounding(name, rounded, log.state[:MAX_POLICY_STATES])
-            if rounding:
-                messages.append(rounding)
-        elif cells is None:
-            raise ArgumentError(
-                f"policy {name!r}",
-                "must be a function of states: there are no cells to be an array on",
-            )
-        if cells is not None:
-            given = functions.get(name, policy)
-            tables[name] = cells.model.policy(given, f"policy {name!r}")
-            functions.setdefault(name, cells.model.policy_function(tables[name]))
+    prepared = prepare(
+        simulator,
+        log,
+        policies,
+        chosen,
+        behavior=behavior,
+        horizon=steps,
+        discount=discount,
+        seed=seed,
+    )
     if fit is not None and not isinstance(fit, ParameterFit):
-        fit = fit_parameters(*parameters_of(simulator.task, fit), numbered)
+        fit = fit_parameters(*parameters_of(simulator.task, fit), prepared.log)
     correction = choose_correction(
-        simulator.task, numbered, history=history, fit=fit, seed=seed
+        simulator.task, prepared.log, history=history, fit=fit, seed=seed
     )
-    episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
-    # all rows share one stream, so that they differ by their tasks and not by chance
-    stream = _checks.seed_sequence(seed, (10**6,))
+    cells = prepared.cells
+    wanted, left_out = _choose_estimators(
+        names, prepared.log, has_cells=cells is not None
+    )
+    sampling, finite = split_sampling(wanted)
     rollouts = Rollouts(
-        steps, discount, episodes, stream, simulator.refits, simulator.refit_paths
+        steps,
+        discount,
+        prepared.episodes,
+        _checks.seed_sequence(seed, (10**6,)),
+        simulator.refits,
+        simulator.refit_paths,
     )
-    simulate = cache(partial(rollouts.value, simulator.task))
-    scale = 1.0 - discount if normalized else 1.0
-    low, high = correction.plain.rewards
-    bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
+    rows = choose_rows(
+        prepared,
+        correction,
+        rollouts,
+        sampling,
+        wants_oee=OffEnvironment() in wanted.values(),
+        wants_linear=names is None,
+        target=target,
+        scale=1.0 - discount if normalized else 1.0,
+    )
+    sentences = describe_whole(
+        correction, (*left_out, *prepared.messages), is_auto=isinstance(history, str)
+    )
+    premises = Premises(lower_ratio, upper_ratio, tie, features)
+    layout = Layout(confidence, normalized, guaranteed, quick, kind, own_facts)
+    if cells is None:
+        return assemble_rows(prepared, rows, sentences, premises, layout)
+    return assemble_on_cells(prepared, cells, rows, finite, sentences, premises, layout)
 
-    def learned_row(
-        learned: ResidualSimulator | LinearModel, status: str, policy: StatePolicy
-    ) -> Estimate:
-        """Estimate a value in a learned task, and refuse one of an impossible sign.
 
-        The sign must be possible with the rewards of the log, and of the simulator's
-        own steps from there.
-        """
-        estimate = rollouts.estimate(learned, policy, status)
-        return refuse_impossible(estimate, *bounds, steps, scale)
-
-    def simulated_row(policy: StatePolicy) -> Estimate:
-        """Estimate a value in the simulator itself."""
-        return _describe_simulated(
-            simulate(policy), is_headline=not correction.is_trusted
-        )
-
-    def corrected_row(policy: StatePolicy) -> Estimate:
-        """Estimate a value in the corrected simulator."""
-        own = correction.policy(policy)
-        return learned_row(correction.learned, correction.status, own)
-
-    wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
-    wants_oee = OffEnvironment() in wanted.values()
-    plain_status = describe_flaw(correction.plain)
-    # rows in front, in the order of what they may be trusted for
-    rows: dict[str, Row] = {}
-    if not correction.is_trusted:
-        rows[SIMULATOR] = simulated_row
-    if wants_oee:
-        rows[correction.name] = corrected_row
-        rows["oee (residual)"] = partial(learned_row, correction.plain, plain_status)
-    sampling = {
-        name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)
-    }
-    others: dict[str, Row] = {}
-    if names is None:
-        linear = LinearModel(simulator.task, numbered)
-        others[LINEAR] = partial(learned_row, linear, plain_status)
-    n_actions = simulator.task.n_actions
-    others |= sampling_rows(sampling, numbered, n_actions, steps, discount)
-    others[SIMULATOR] = simulated_row
-    last: dict[str, Row] = {}
-    if target is not None:
-
-        def target_row(policy: StatePolicy) -> Estimate:
-            """Estimate a value in the true target."""
-            return _describe_simulated(rollouts.value(target, policy))
-
-        last["target (continuous)"] = target_row
+def describe_whole(
+    correction: Correction, messages: tuple[str, ...], *, is_auto: bool
+) -> Sentences:
+    """Return what is said of a correction, and the other messages."""
     # fitted parameters leave little to tell: the difference is that of what was given
     compared = correction.learned
     if correction.fit is not None and not correction.steps:
         compared = correction.plain
-    advice = correction.advice(is_auto=isinstance(history, str))
-    sentences = (advice, correction.reason, difference(compared))
-    first = tuple(sentence for sentence in sentences if sentence)
+    found = (
+        correction.advice(is_auto=is_auto),
+        correction.reason,
+        difference(compared),
+    )
     caveat = ""
     if not correction.is_trusted:
         caveat = f"No correction can be trusted, because {correction.status}."
-    messages = [*left_out, *messages]
-    about_rewards = _describe_rewards(simulator.task, numbered)
-    if about_rewards:
-        messages.append(about_rewards)
-    if cells is None:
-        _require_no_premises(
-            lower_ratio=lower_ratio, upper_ratio=upper_ratio, tie=tie, features=features
-        )
-        about = {
-            "simulator": f"{simulator.name}, without cells",
-            "log": repr(log),
-            **own_facts,
-        }
-        report = _report_rows(
-            functions,
-            rows | others | last,
-            steps,
-            discount,
-            about,
-            seed=seed,
-            confidence=confidence,
-            normalized=normalized,
-            guaranteed=guaranteed,
-            quick=quick,
-        )
-        uncertainty = Uncertainty(distance=first, caveat=caveat)
-        every_message = (*report.warnings, *messages)
-        return replace(report, warnings=every_message, uncertainty=uncertainty)
-    # policies by their tables on the cells, which are all that finite estimators take
-    known = {table.tobytes(): functions[name] for name, table in tables.items()}
-
-    def simulate_table(table: Array) -> MonteCarlo:
-        """Estimate the value of a policy's table on the cells, in the simulator."""
-        return simulate(known[np.asarray(table).tobytes()])
-
-    def evaluate_row(
-        row: Row, problem: Problem, table: Array, *, seed: SeedNumbers = None
-    ) -> Estimate:
-        """Evaluate a row for a policy that is given by its table on the cells."""
-        return row(known[np.asarray(table).tobytes()])
-
-    def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
-        """Return rows as estimators of policies on the cells."""
-        return {name: partial(evaluate_row, row) for name, row in rows.items()}
-
-    every = on_tables(rows)
-    if wants_oee and kind != "none":
-        every["oee (calibrated)"] = cells.calibrated(simulate_table, kind, scale)
-    finite = {name: e for name, e in wanted.items() if name not in sampling}
-    every |= on_tables(others) | cells.others(finite) | on_tables(last)
-    report = evaluate(
-        cells.problem,
-        tables,
-        estimators=every,
-        confidence=confidence,
-        seed=seed,
-        normalized=normalized,
-        facts=cells.facts | own_facts,
-        guaranteed=guaranteed,
-        quick=quick,
-        lower_ratio=lower_ratio,
-        upper_ratio=upper_ratio,
-        tie=tie,
-        features=features,
-    )
-    messages.append(cells.describe_loss(simulate_table, tables))
-    uncertainty = replace(
-        report.uncertainty,
-        next=cells.add_features(report.uncertainty.next),
-        distance=(*first, *report.uncertainty.distance),
-        caveat=caveat,
-    )
-    texts = tuple(map(cells.add_features, (*report.warnings, *messages)))
-    return replace(report, warnings=texts, uncertainty=uncertainty)
-
-
-def _require_no_premises(**premises: object) -> None:
-    """Raise a ValueError for what is known of the target but needs cells."""
-    lower = premises["lower_ratio"]
-    if lower is not None:
-        _checks.number_in(lower, "lower_ratio", 0.0, 1.0)
-    upper = premises["upper_ratio"]
-    if upper is not None:
-        _checks.number_in(upper, "upper_ratio", 1.0, np.inf, infinite=True)
-    for name, value in premises.items():
-        if value is not None:
-            raise ArgumentError(
-                name,
-                "must be left out without cells: it is about the transitions of a finite"
-                " simulator",
-            )
-
-
-def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
-    """Return a value in the simulator (or the target) itself as an ``Estimate``.
-
-    It is no estimate from the log. ``is_headline`` is for where no correction can be
-    trusted; the rollouts' noise is no interval to speak of then.
-    """
-    error = None if is_headline else mc.standard_error
-    facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
-    return Estimate(
-        mc.value,
-        error,
-        diagnostics=facts,
-        is_headline=is_headline,
-        is_from_log=not is_headline,
-    )
-
-
-def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
-    """Describe how far the task's commands are from those of a policy.
-
-    Returns "" where they are the same.
-    """
-    distance, beyond = policy.rounding(states)
-    if distance == beyond == 0.0:
-        return ""
-    cut = ""
-    if beyond > 0.0:
-        cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it."
-    return (
-        f"The commands of “{name}” are rounded to the task's {len(policy.actions)}"
-        f" commands, by {distance:.2g} (root mean square in the log's states).{cut}"
-    )
-
-
-def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
-    """Describe where the log's rewards are not the task's r(s, a, s').
-
-    Returns "" where they are, or where either is unknown.
-    """
-    known = task.reward_between(log.state, log.action, log.next_state)
-    if log.reward is None or known is None:
-        return ""
-    distance = np.abs(log.reward - known)
-    bad = np.flatnonzero(distance > 1e-6 * float(np.abs(known).max()))
-    if bad.size == 0:
-        return ""
-    k = int(distance.argmax())
-    verb = "are rounded from" if is_rounded(log.reward, known) else "contradict"
-    return (
-        f"The log's rewards {verb} the simulator's r(s, a, s') in {bad.size} of"
-        f" {len(log)} transitions. The reward of row {k} is {log.reward[k]:.9g} in the"
-        f" log and {known[k]:.9g} in the simulator. The simulator's rewards are used"
-    )
+    distance = tuple(sentence for sentence in found if sentence)
+    return Sentences(distance, caveat, messages)
 
 
 def _names(names: object, argument: str) -> list[str]:
@@ -570,55 +342,3 @@ def _choose_estimators(
         return kept, []
     verb = "is" if len(gone) == 1 else "are"
     return kept, [f"{', '.join(gone)} {verb} left out: they need cells."]
-
-
-def _report_rows(
-    policies: Mapping[str, StatePolicy],
-    rows: Mapping[str, Row],
-    horizon: int,
-    discount: float,
-    facts: Mapping[str, Any],
-    *,
-    seed: SeedNumbers = None,
-    confidence: float = 0.95,
-    normalized: bool = False,
-    guaranteed: bool = False,
-    quick: bool = False,
-) -> Report:
-    """Return the report of rows without a finite problem.
-
-    Each row stands beside its own interval.
-    """
-    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    if _checks.boolean(guaranteed, "guaranteed"):
-        raise ArgumentError(
-            "guaranteed",
-            "must be False without cells: guaranteed intervals need a finite simulator",
-        )
-    if _checks.boolean(normalized, "normalized") and discount == 1.0:
-        raise ArgumentError(
-            "normalized",
-            "must be False at discount 1: the factor (1 - discount) would be 0",
-        )
-    _checks.boolean(quick, "quick")
-    scale = 1.0 - discount if normalized else 1.0
-    results = []
-    for name, policy in policies.items():
-        for label, row in rows.items():
-            _progress.report_step(f"{label} of “{name}”")
-            estimate = choose_interval(row(policy), None, level, scale)
-            results.append(Result(name, label, estimate))
-            _progress.report_finished(f"{label} of “{name}”: {estimate}")
-    texts, notes = number_notes(results, group_findings(results))
-    return Report(
-        tuple(results),
-        {},
-        texts,
-        notes,
-        level,
-        normalized,
-        discount,
-        horizon,
-        seed,
-        facts,
-    )

@@ -1,0 +1,209 @@
+"""The rows of a report, in the order of what they may be trusted for.
+
+A row (``Row``) has a name and a function of a policy, which estimates
+J = E[sum_{t<T} gamma^t r_t]. ``choose_rows`` says which rows a report has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+
+from oee_tabular.continuous.correction.choice import Correction
+from oee_tabular.continuous.correction.linear_model import LinearModel
+from oee_tabular.continuous.correction.residual import ResidualSimulator
+from oee_tabular.continuous.correction.sentences import describe_flaw
+from oee_tabular.continuous.evaluation.prepare import Prepared
+from oee_tabular.continuous.evaluation.rollouts import (
+    Rollouts,
+    refuse_impossible,
+)
+from oee_tabular.continuous.evaluation.sampling import sampling_rows
+from oee_tabular.continuous.task.base import ContinuousTask, StatePolicy
+from oee_tabular.continuous.task.episodes import MonteCarlo
+from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling
+
+SIMULATOR = "simulator (continuous)"
+LINEAR = "linear model of the log"
+RESIDUAL = "oee (residual)"
+TARGET = "target (continuous)"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a report.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in the table.
+    estimate : function
+        Gives the ``Estimate`` of a policy's value.
+    is_trusted : bool
+        Whether its value may be relied on. Where no correction can be trusted, none of
+        the rows of corrected simulators may.
+    """
+
+    name: str
+    estimate: Callable[[StatePolicy], Estimate]
+    is_trusted: bool = True
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a report, in three groups.
+
+    On cells the rows of finite estimators stand between the first two groups.
+
+    Attributes
+    ----------
+    first : list of Row
+        The corrected simulators, behind the simulator where none can be trusted.
+    others : list of Row
+        The linear model, importance sampling, the simulator.
+    target : list of Row
+        The true target, where it is known.
+    has_oee : bool
+        Whether the off-environment estimator is asked for.
+    simulate : function
+        Gives the simulator's own value of a policy, a ``MonteCarlo``, computed once.
+    """
+
+    first: list[Row]
+    others: list[Row]
+    target: list[Row]
+    has_oee: bool
+    simulate: Callable[[StatePolicy], MonteCarlo]
+
+    def every(self) -> dict[str, Row]:
+        """Return all rows by name; a name that comes twice stands where it is first."""
+        rows: dict[str, Row] = {}
+        for row in (*self.first, *self.others, *self.target):
+            rows.setdefault(row.name, row)
+        return rows
+
+
+def choose_rows(
+    prepared: Prepared,
+    correction: Correction,
+    rollouts: Rollouts,
+    sampling: Mapping[str, Estimator],
+    *,
+    wants_oee: bool,
+    wants_linear: bool,
+    target: ContinuousTask | None,
+    scale: float,
+) -> Rows:
+    """Return the rows of a report.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The simulator and the log.
+    correction : Correction
+        The simulator corrected by the log.
+    rollouts : Rollouts
+        How values are computed. All rows share its streams, so that they differ by
+        their tasks and not by chance.
+    sampling : mapping from str to ImportanceSampling
+        The estimators on the log's own episodes.
+    wants_oee : bool
+        Whether the rows of the corrected simulators are asked for.
+    wants_linear : bool
+        Whether the row of the linear model is.
+    target : ContinuousTask or None
+        The true target.
+    scale : float
+        By what values are multiplied in sentences.
+
+    Returns
+    -------
+    Rows
+        The rows.
+    """
+    task = prepared.simulator.task
+    simulate = cache(partial(rollouts.value, task))
+    low, high = correction.plain.rewards
+    bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
+
+    def learned_row(
+        learned: ResidualSimulator | LinearModel, status: str, policy: StatePolicy
+    ) -> Estimate:
+        """Estimate a value in a learned task, and refuse one of an impossible sign.
+
+        The sign must be possible with the rewards of the log, and of the simulator's
+        own steps from there.
+        """
+        estimate = rollouts.estimate(learned, policy, status)
+        return refuse_impossible(estimate, *bounds, rollouts.horizon, scale)
+
+    def simulated_row(policy: StatePolicy) -> Estimate:
+        """Estimate a value in the simulator itself."""
+        return _describe_simulated(
+            simulate(policy), is_headline=not correction.is_trusted
+        )
+
+    def corrected_row(policy: StatePolicy) -> Estimate:
+        """Estimate a value in the corrected simulator."""
+        own = correction.policy(policy)
+        return learned_row(correction.learned, correction.status, own)
+
+    def target_row(task: ContinuousTask, policy: StatePolicy) -> Estimate:
+        """Estimate a value in the true target."""
+        return _describe_simulated(rollouts.value(task, policy))
+
+    of_simulator = Row(SIMULATOR, simulated_row)
+    plain_status = describe_flaw(correction.plain)
+    first: list[Row] = []
+    if not correction.is_trusted:
+        first.append(of_simulator)
+    if wants_oee:
+        plain = partial(learned_row, correction.plain, plain_status)
+        first.append(Row(correction.name, corrected_row, correction.is_trusted))
+        if correction.name != RESIDUAL:
+            first.append(Row(RESIDUAL, plain, plain_status == "ok"))
+    others: list[Row] = []
+    if wants_linear:
+        linear = partial(learned_row, LinearModel(task, prepared.log), plain_status)
+        others.append(Row(LINEAR, linear, plain_status == "ok"))
+    by_weights = sampling_rows(
+        sampling, prepared.log, task.n_actions, rollouts.horizon, rollouts.discount
+    )
+    others += [Row(name, estimate) for name, estimate in by_weights.items()]
+    others.append(of_simulator)
+    of_target = []
+    if target is not None:
+        of_target.append(Row(TARGET, partial(target_row, target)))
+    return Rows(first, others, of_target, wants_oee, simulate)
+
+
+def split_sampling(
+    wanted: Mapping[str, Estimator],
+) -> tuple[dict[str, Estimator], dict[str, Estimator]]:
+    """Return the estimators on the log's own episodes, and the others."""
+    sampling: dict[str, Estimator] = {}
+    finite: dict[str, Estimator] = {}
+    for name, estimator in wanted.items():
+        chosen = sampling if isinstance(estimator, ImportanceSampling) else finite
+        chosen[name] = estimator
+    return sampling, finite
+
+
+def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
+    """Return a value in the simulator (or the target) itself as an ``Estimate``.
+
+    It is no estimate from the log. ``is_headline`` is for where no correction can be
+    trusted; the rollouts' noise is no interval to speak of then.
+    """
+    error = None if is_headline else mc.standard_error
+    facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+    return Estimate(
+        mc.value,
+        error,
+        diagnostics=facts,
+        is_headline=is_headline,
+        is_from_log=not is_headline,
+    )
