@@ -60,6 +60,9 @@ class Estimate:
         Whether the value averages the log's own episodes and rewards.
     is_headline : bool, default False
         Whether a report gives this value first.
+    bounds : tuple of (float, float), optional
+        The least and the largest value that the rewards and the horizon make possible,
+        where they are known. The interval that a report quotes ends there.
 
     See Also
     --------
@@ -87,6 +90,7 @@ class Estimate:
     is_from_log: bool = True
     is_from_episodes: bool = False
     is_headline: bool = False
+    bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.status == "ok" and not np.isfinite(self.value):

@@ -18,6 +18,7 @@ from oee_tabular.report.files import summary as summary
 from oee_tabular.report.results import Report, Result
 from oee_tabular.report.tables import render_comparison as render_comparison
 from oee_tabular.report.tables import render_intervals as render_intervals
+from oee_tabular.report.text import log_cannot_say as log_cannot_say
 from oee_tabular.report.uncertainty import Uncertainty as Uncertainty
 from oee_tabular.report.uncertainty import choose_interval as choose_interval
 

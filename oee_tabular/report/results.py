@@ -268,9 +268,14 @@ class Report:
         could not be read where they are more than 1%; rewards that were rounded, or
         change each value by less than a twentieth of half its interval, are not.
         """
-        answers = [answer for answer in self.answers if math.isfinite(answer.value)]
+        silent = self.uncertainty.unanswered
+        answers = [
+            answer
+            for answer in self.answers
+            if math.isfinite(answer.value) and answer.policy not in silent
+        ]
         if not answers:
-            return text.NO_VALUE
+            return self.uncertainty.caveat or text.NO_VALUE
         sentences = [text.policy_worth(answer, self.confidence) for answer in answers]
         if len(self.answers) > 1 and self.uncertainty.ranking:
             sentences = [text.silent_log(answers), self.uncertainty.ranking]

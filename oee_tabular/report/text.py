@@ -262,6 +262,16 @@ def policy_worth(answer: Answer, confidence: float) -> str:
     return " ".join(filter(None, (f"{sentence}.", answer.assumption)))
 
 
+def log_cannot_say(policies: Sequence[str], reason: str) -> str:
+    """Say that the log cannot say what policies are worth, and why."""
+    names = [f"“{name}”" for name in policies]
+    if len(names) == 1:
+        subject = f"the policy {names[0]} is"
+    else:
+        subject = f"the policies {', '.join(names[:-1])} and {names[-1]} are"
+    return f"The log cannot say what {subject} worth in the target: {reason}."
+
+
 def silent_log(answers: Sequence[Answer]) -> str:
     """Say of which policies the log covers less than half; "" if of none."""
     silent = [answer for answer in answers if answer.is_nearly_silent]

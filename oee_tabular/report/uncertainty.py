@@ -196,6 +196,9 @@ class Uncertainty:
         recorded, what its interval lets them do.
     default : dict of str to Estimate
         The default's estimate of each policy, on which the comparison rests.
+    unanswered : tuple of str
+        The policies of which no value is stated above the table, because the log cannot
+        say it; ``caveat`` says why.
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -208,6 +211,7 @@ class Uncertainty:
     caveat: str = ""
     assumptions: Mapping[str, str] = field(default_factory=dict)
     default: Mapping[str, Estimate] = field(default_factory=dict)
+    unanswered: tuple[str, ...] = ()
 
     @property
     def likelihood(self) -> dict[str, Interval]:
@@ -433,7 +437,7 @@ def choose_interval(
         told = tuple(f for f in chosen.findings if f.kind != "coverage")
         chosen = replace(chosen, findings=told)
     else:
-        chosen = _with_own_interval(estimate, level)
+        chosen = _within_bounds(_with_own_interval(estimate, level))
     lacks_interval = chosen.interval is None and (
         chosen.standard_error is not None or chosen.status == "ok"
     )
@@ -475,6 +479,18 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     return replace(
         estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE}
     )
+
+
+def _within_bounds(estimate: Estimate) -> Estimate:
+    """Let an interval end where no value is possible beyond."""
+    if estimate.interval is None or estimate.bounds is None:
+        return estimate
+    lowest, highest = estimate.bounds
+    lower, upper = estimate.interval
+    # a value that rounding puts beyond its bound keeps its interval around it
+    lower = min(max(lower, lowest), estimate.value)
+    upper = max(min(upper, highest), estimate.value)
+    return replace(estimate, interval=(lower, upper))
 
 
 def _put_inside(

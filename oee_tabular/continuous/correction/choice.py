@@ -29,6 +29,7 @@ from oee_tabular.continuous.correction.sentences import (
     describe_count,
     describe_flaw,
     describe_history,
+    remedy,
 )
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
@@ -112,11 +113,7 @@ class Correction:
                 f"With the last {self.steps} actions in the state, {share:.0%} of that"
                 " effect is left."
             )
-        return (
-            f"{text} Sensor noise, a slow actuator, or a quantity that is not recorded"
-            " may be the cause. Filter the states, or record what is missing. Until"
-            " then read the simulator's value, which has no interval."
-        )
+        return f"{text} {remedy(self.learned)}"
 
 
 def choose_correction(

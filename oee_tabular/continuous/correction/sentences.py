@@ -70,6 +70,24 @@ def odd_row(corrected: ResidualSimulator) -> str:
     return ""
 
 
+def remedy(learned: ResidualSimulator) -> str:
+    """Say what may be hidden, and what to do before a value can be trusted."""
+    hidden = [c.history for c in learned.coordinates if c.hidden]
+    first = max(hidden, key=lambda effect: effect.lag_r_squared)
+    # what a sensor adds to one state is taken back in the next step
+    if first.of == "residual" and first.lag == 1:
+        return (
+            "This is what sensor noise looks like. Filter the states before they are"
+            " logged (a Kalman filter, or a mean over several samples), or take speeds"
+            " as differences over several steps. If the sensor is good, a slow actuator"
+            " or a quantity that is not recorded is the cause: record it."
+        )
+    return (
+        "A slow actuator, a longer delay or a quantity that is not recorded may be the"
+        f" cause. Record what is missing, or keep more actions (history {MAX_LAG + 3})."
+    )
+
+
 def describe_count(steps: int) -> str:
     """Return how many actions there are, in words after "last"."""
     return "action" if steps == 1 else f"{steps} actions"

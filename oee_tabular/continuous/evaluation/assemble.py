@@ -16,6 +16,7 @@ import numpy as np
 from oee_tabular import _checks, _progress
 from oee_tabular.continuous.evaluation.on_cells import OnCells
 from oee_tabular.continuous.evaluation.prepare import Prepared
+from oee_tabular.continuous.evaluation.rollouts import GUESSED, MAX_GUESSED_SHARE
 from oee_tabular.continuous.evaluation.rows import Row, Rows
 from oee_tabular.continuous.evaluation.simulator import Calibration
 from oee_tabular.continuous.task.base import StatePolicy
@@ -29,6 +30,7 @@ from oee_tabular.report import (
     choose_interval,
     evaluate,
     group_findings,
+    log_cannot_say,
     number_notes,
 )
 from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
@@ -92,14 +94,14 @@ class Sentences:
     ----------
     distance : tuple of str
         How the target differs from the simulator, and what was taken for it.
-    caveat : str
+    doubt : str
         Why no correction can be trusted, or "".
     messages : tuple of str
         Notes on the log, the policies and the estimators.
     """
 
     distance: tuple[str, ...]
-    caveat: str
+    doubt: str
     messages: tuple[str, ...]
 
 
@@ -129,7 +131,10 @@ def assemble_rows(
         guaranteed=layout.guaranteed,
         quick=layout.quick,
     )
-    uncertainty = Uncertainty(distance=sentences.distance, caveat=sentences.caveat)
+    caveat, unanswered = _doubt_values(report, sentences)
+    uncertainty = Uncertainty(
+        distance=sentences.distance, caveat=caveat, unanswered=unanswered
+    )
     messages = (*report.warnings, *sentences.messages)
     return replace(report, warnings=messages, uncertainty=uncertainty)
 
@@ -185,15 +190,35 @@ def assemble_on_cells(
         features=premises.features,
     )
     loss = cells.describe_loss(simulate, prepared.tables)
+    caveat, unanswered = _doubt_values(report, sentences)
     uncertainty = replace(
         report.uncertainty,
         next=cells.add_features(report.uncertainty.next),
         distance=(*sentences.distance, *report.uncertainty.distance),
-        caveat=sentences.caveat,
+        caveat=caveat,
+        unanswered=unanswered,
     )
     messages = (*report.warnings, *sentences.messages, loss)
     texts = tuple(map(cells.add_features, messages))
     return replace(report, warnings=texts, uncertainty=uncertainty)
+
+
+def _doubt_values(report: Report, sentences: Sentences) -> tuple[str, tuple[str, ...]]:
+    """Return why the log cannot say the values of some policies, and which ones."""
+    names = list(dict.fromkeys(result.policy for result in report.results))
+    if sentences.doubt:
+        return log_cannot_say(names, sentences.doubt), tuple(names)
+    shares: dict[str, float] = {}
+    for result in report.results:
+        share = result.estimate.diagnostics.get("beyond_log")
+        if share is not None and result.policy not in shares:
+            shares[result.policy] = share
+    guessed = [name for name in names if shares.get(name, 0.0) > MAX_GUESSED_SHARE]
+    caveats = [
+        log_cannot_say([name], GUESSED.format(f"{shares[name]:.0%}"))
+        for name in guessed
+    ]
+    return " ".join(caveats), tuple(guessed)
 
 
 def _evaluate_table(

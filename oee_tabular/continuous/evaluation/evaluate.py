@@ -174,7 +174,11 @@ def evaluate_continuous(
     Notes
     -----
     The report states first the Monte Carlo value of the corrected simulator
-    (``choose_correction``), or the simulator's value if no correction can be trusted.
+    (``choose_correction``). It says that the log cannot say the value, and why, if no
+    correction can be trusted, or if most of the policy's transitions start outside the
+    range of the log's states. No value or interval goes beyond what the rewards (the
+    log's, and the simulator's for this policy) can sum to within the horizon.
+
     Its rows are:
 
     - "simulator (continuous)": always, by Monte Carlo.
@@ -293,16 +297,15 @@ def describe_whole(
     compared = correction.learned
     if correction.fit is not None and not correction.steps:
         compared = correction.plain
-    found = (
-        correction.advice(is_auto=is_auto),
-        correction.reason,
-        difference(compared),
-    )
-    caveat = ""
-    if not correction.is_trusted:
-        caveat = f"No correction can be trusted, because {correction.status}."
+    found = [correction.advice(is_auto=is_auto)]
+    doubt = ""
+    if correction.is_trusted:
+        found.append(correction.reason)
+    else:
+        doubt = f"{correction.status}, so no correction of the simulator can be trusted"
+    found.append(difference(compared))
     distance = tuple(sentence for sentence in found if sentence)
-    return Sentences(distance, caveat, messages)
+    return Sentences(distance, doubt, messages)
 
 
 def _names(names: object, argument: str) -> list[str]:

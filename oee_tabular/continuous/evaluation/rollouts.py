@@ -25,6 +25,7 @@ from oee_tabular.continuous.task.episodes import (
     MonteCarlo,
     compare_returns,
     monte_carlo_value,
+    record,
 )
 from oee_tabular.estimators import (
     Estimate,
@@ -35,11 +36,19 @@ from oee_tabular.typing import Array, Seed
 
 # A finding tells of a larger share of transitions that start beyond the log's range.
 MAX_BEYOND_SHARE = 0.02
+# Where a larger share starts there, the value is a guess, and none is stated.
+MAX_GUESSED_SHARE = 0.5
+N_WATCHED = 200  # episodes in which states and rewards are watched
 QUANTILE = 1.96  # standard errors, of the intervals that estimators set themselves
 BEYOND = (
     "{} of the policy's transitions start outside the range of the recorded states. The"
     " correction is a guess there, and no interval counts its error."
 )
+GUESSED = (
+    "{} of the policy's transitions start outside the range of the recorded states, where"
+    " the correction is a guess"
+)
+
 Row: TypeAlias = Callable[[StatePolicy], Estimate]
 
 
@@ -120,20 +129,25 @@ class Rollouts:
             The value.
         """
         mc = self.value(learned, policy)
-        is_ok = status == "ok"
         facts: dict[str, Any] = {
             "standard_error_of": "rollouts",
             "n_rollouts": mc.n_episodes,
         }
+        findings: tuple[Finding, ...] = ()
+        if isinstance(learned, ResidualSimulator):
+            share = self._share_beyond(learned, policy)
+            corrected = [c for c in learned.coordinates if c.kind != "zero"]
+            explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in corrected)
+            facts |= {"explained": explained, "beyond_log": share}
+            if share > MAX_GUESSED_SHARE and status == "ok":
+                status = GUESSED.format(f"{share:.0%}")
+            elif share > MAX_BEYOND_SHARE:
+                findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),)
+        is_ok = status == "ok"
         error: float | None = None
         interval: tuple[float, float] | None = None
-        findings: tuple[Finding, ...] = ()
         if is_ok:
-            rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
-            refitted = [learned.resampled(rng) for rng in rngs]
-            tasks = [learned, *refitted]
-            returns = self._sample_returns(tasks, policy, self.paths)
-            of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
+            of_log = self._error_of_log(learned, policy)
             error = float(np.hypot(of_log, mc.standard_error))
             reach = error * float(stdtrit(self.refits - 1, 0.975))
             interval = mc.value - reach, mc.value + reach
@@ -143,21 +157,6 @@ class Rollouts:
                 "standard_error_of_the_log": of_log,
                 "interval_method": "refits",
             }
-        if isinstance(learned, ResidualSimulator):
-            counts = np.zeros(2)
-
-            def watch(states: Array) -> Array:
-                """Count the states beyond the log's, and return probabilities."""
-                counts[:] += learned.beyond(states).sum(), len(states)
-                return policy(states)
-
-            self._sample_returns([learned], watch, 200)
-            share = float(counts[0] / counts[1])
-            corrected = [c for c in learned.coordinates if c.kind != "zero"]
-            explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in corrected)
-            facts |= {"explained": explained, "beyond_log": share}
-            if share > MAX_BEYOND_SHARE:
-                findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),)
         return Estimate(
             mc.value,
             error,
@@ -168,6 +167,37 @@ class Rollouts:
             is_normal=is_ok,
             is_headline=is_ok and isinstance(learned, ResidualSimulator),
         )
+
+    def _error_of_log(
+        self, learned: ResidualSimulator | LinearModel, policy: StatePolicy
+    ) -> float:
+        """Return the standard error of a value by the log, from resampled episodes."""
+        rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
+        refitted = [learned.resampled(rng) for rng in rngs]
+        returns = self._sample_returns([learned, *refitted], policy, self.paths)
+        return float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
+
+    def _share_beyond(self, learned: ResidualSimulator, policy: StatePolicy) -> float:
+        """Return the share of transitions that start outside the log's range."""
+        counts = np.zeros(2)
+
+        def watch(states: Array) -> Array:
+            """Count the states beyond the log's, and return probabilities."""
+            counts[:] += learned.beyond(states).sum(), len(states)
+            return policy(states)
+
+        self._sample_returns([learned], watch, N_WATCHED)
+        return float(counts[0] / counts[1])
+
+    def reward_range(
+        self, task: ContinuousTask, policy: StatePolicy
+    ) -> tuple[float, float]:
+        """Return the least and the largest reward of a policy's first episodes."""
+        n = min(N_WATCHED, self.paths, self.episodes)
+        seed = np.random.default_rng(self._stream(3))
+        log = record(task, policy, n_episodes=n, max_steps=self.horizon, seed=seed)
+        rewards = np.zeros(1) if log.reward is None else log.reward
+        return float(rewards.min()), float(rewards.max())
 
 
 @suggest_keywords
@@ -265,15 +295,35 @@ def corrected_value(
     return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
 
+def possible_sums(
+    lowest: float, highest: float, horizon: int, discount: float, *, ends: bool
+) -> tuple[float, float]:
+    """Return between which ends sum_{t<T} gamma^t r_t lies, by the rewards' own.
+
+    Where episodes may end, rewards are 0 from then on.
+
+    >>> possible_sums(-2.0, -1.0, 3, 1.0, ends=False)
+    (-6.0, -3.0)
+    >>> possible_sums(-2.0, -1.0, 3, 1.0, ends=True)
+    (-6.0, 0.0)
+    """
+    weight = float(np.sum(discount ** np.arange(horizon)))
+    if ends:
+        lowest = min(lowest, 0.0)
+        highest = max(highest, 0.0)
+    return lowest * weight, highest * weight
+
+
 def refuse_impossible(
     estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0
 ) -> Estimate:
     """Return the estimate without a value that no sum of the rewards can have.
 
     The status then says so in a sentence. A value that is beyond the bounds by at most
-    1.96 standard errors is put on the bound; ``scale`` multiplies values in the
-    sentence.
+    1.96 standard errors is put on the bound, and the interval to quote ends there;
+    ``scale`` multiplies values in the sentence.
     """
+    estimate = replace(estimate, bounds=(lowest, highest))
     value = estimate.value
     bounds = [abs(bound) for bound in (lowest, highest) if np.isfinite(bound)]
     rounding = 1e-9 * max(bounds, default=0.0)

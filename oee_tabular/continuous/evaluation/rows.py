@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 
-import numpy as np
-
 from oee_tabular.continuous.correction.choice import Correction
 from oee_tabular.continuous.correction.linear_model import LinearModel
 from oee_tabular.continuous.correction.residual import ResidualSimulator
@@ -19,6 +17,7 @@ from oee_tabular.continuous.correction.sentences import describe_flaw
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import (
     Rollouts,
+    possible_sums,
     refuse_impossible,
 )
 from oee_tabular.continuous.evaluation.sampling import sampling_rows
@@ -126,19 +125,33 @@ def choose_rows(
     """
     task = prepared.simulator.task
     simulate = cache(partial(rollouts.value, task))
-    low, high = correction.plain.rewards
-    bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
+    ends = task.terminates or prepared.log.terminated.any()
+
+    @cache
+    def bounds(policy: StatePolicy) -> tuple[float, float]:
+        """Return what the rewards of the log and of the simulator can sum to.
+
+        The simulator's are those of its steps from the log's rows, and of the policy.
+        """
+        known = correction.plain.rewards
+        own = rollouts.reward_range(task, policy)
+        return possible_sums(
+            min(known[0], own[0]),
+            max(known[1], own[1]),
+            rollouts.horizon,
+            rollouts.discount,
+            ends=bool(ends),
+        )
 
     def learned_row(
         learned: ResidualSimulator | LinearModel, status: str, policy: StatePolicy
     ) -> Estimate:
-        """Estimate a value in a learned task, and refuse one of an impossible sign.
-
-        The sign must be possible with the rewards of the log, and of the simulator's
-        own steps from there.
-        """
-        estimate = rollouts.estimate(learned, policy, status)
-        return refuse_impossible(estimate, *bounds, rollouts.horizon, scale)
+        """Estimate a value in a learned task, and refuse an impossible one."""
+        of_states = policy
+        if learned is correction.learned:
+            of_states = correction.policy(policy)
+        estimate = rollouts.estimate(learned, of_states, status)
+        return refuse_impossible(estimate, *bounds(policy), rollouts.horizon, scale)
 
     def simulated_row(policy: StatePolicy) -> Estimate:
         """Estimate a value in the simulator itself."""
@@ -148,8 +161,7 @@ def choose_rows(
 
     def corrected_row(policy: StatePolicy) -> Estimate:
         """Estimate a value in the corrected simulator."""
-        own = correction.policy(policy)
-        return learned_row(correction.learned, correction.status, own)
+        return learned_row(correction.learned, correction.status, policy)
 
     def target_row(task: ContinuousTask, policy: StatePolicy) -> Estimate:
         """Estimate a value in the true target."""
