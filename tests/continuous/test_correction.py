@@ -18,6 +18,8 @@ from benchmarks.hidden_state import (
     shown,
 )
 from continuous.test_residual import Line, line_log
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.command import continuous_simulator
@@ -34,16 +36,18 @@ from oee_tabular.continuous.correction.sentences import (
 )
 from oee_tabular.continuous.discretization.model import uniform_policy_of
 from oee_tabular.continuous.evaluation.on_cells import calibrated_row
-from oee_tabular.continuous.evaluation.rollouts import refuse_impossible
+from oee_tabular.continuous.evaluation.rollouts import possible_sums, refuse_impossible
 from oee_tabular.continuous.task.episodes import MonteCarlo, compare_returns
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
 from oee_tabular.lab.experiments import classic
-from oee_tabular.report import Settings, evaluate_continuous
+from oee_tabular.report import Settings, choose_interval, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,
+    ContinuousTask,
     HistoryTask,
     LinearModel,
+    Moves,
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
@@ -287,7 +291,7 @@ def test_a_few_odd_rows_are_no_hidden_state(count, is_spike):
 # ---------------------------------------------------------------- reports
 
 
-def test_sensor_noise_puts_the_simulator_in_front():
+def test_with_sensor_noise_no_value_is_stated():
     target = SensorNoise(SIMULATOR, 0.01)
     policies = {"near": cartpole_policy(0.3), "far": cartpole_policy(0.8)}
     report = evaluate_continuous(
@@ -303,10 +307,12 @@ def test_sensor_noise_puts_the_simulator_in_front():
     assert rows == ["simulator (continuous)", "simulator (continuous)"]
     assert all(answer.lower is None for answer in answers.values())
     assert report.headline.startswith(
-        "No correction can be trusted, because the next state depends on more than the"
-        " state"
+        "The log cannot say what the policies “near” and “far” are worth in the target:"
+        " the next state depends on more than the state and the action"
     )
-    assert "In the simulator, the policy “near” is worth about" in report.headline
+    assert "worth about" not in report.headline
+    assert "The value in front" not in str(report)
+    assert "This is what sensor noise looks like" in str(report)
     assert (
         "Keeping the last actions in the state, up to 5, does not help."
         in report.uncertainty.sentences[0]
@@ -569,8 +575,8 @@ def test_a_report_fits_by_name():
     ],
 )
 def test_values_that_cannot_be_are_refused(value, error, found):
-    given = Estimate(value, error, None if error is None else (value - 1, value + 1))
-    estimate = refuse_impossible(given, 0.0, 10.0, 10)
+    raw = Estimate(value, error, None if error is None else (value - 1, value + 1))
+    estimate = refuse_impossible(raw, 0.0, 10.0, 10)
     assert estimate.value == pytest.approx(found, nan_ok=True)
     if np.isnan(found):
         assert (
@@ -579,7 +585,8 @@ def test_values_that_cannot_be_are_refused(value, error, found):
         )
         assert estimate.interval is None
     # rewards without bounds refuse no value
-    assert refuse_impossible(given, -np.inf, np.inf, 10) is given
+    same = refuse_impossible(raw, -np.inf, np.inf, 10)
+    assert replace(same, bounds=None) == raw
 
 
 @pytest.mark.parametrize(
@@ -781,6 +788,101 @@ def test_on_cells_no_value_is_beyond_what_the_rewards_sum_to(monkeypatch):
     )
 
 
+class Sliding(ContinuousTask):
+    """A mass that is pushed; the reward is minus its distance from 0."""
+
+    name = "sliding"
+    state_names = ("place", "speed")
+    feature_names = state_names
+    feature_low = np.array([-5.0, -5.0])
+    feature_high = np.array([5.0, 5.0])
+    actions = np.array([-1.0, 1.0])
+    n_disturbances = 0
+    periodic = (False, False)
+    terminates = False
+
+    def __init__(self, drag=0.1):
+        self.drag = drag
+
+    def initial_states(self, n, rng):
+        return np.column_stack([np.ones(n), rng.normal(0.0, 0.01, n)])
+
+    def moves(self, states, actions, disturbance):
+        place, speed = states.T
+        speed = (1.0 - self.drag) * speed + 0.1 * self.actions[actions]
+        after = np.column_stack([place + 0.1 * speed, speed])
+        return Moves(after, -np.abs(after[:, 0]), np.zeros(len(states), dtype=bool))
+
+
+def braking(states):
+    right = (states.sum(axis=1) < 0).astype(float)
+    return np.column_stack([1.0 - right, right])
+
+
+def fleeing(states):
+    return np.tile([0.0, 1.0], (len(states), 1))
+
+
+def test_a_log_that_does_not_hold_what_the_policy_does_says_so():
+    """Also of other policies of the same report, one by one."""
+    log = record(Sliding(0.15), braking, n_transitions=600, max_steps=60, seed=0)
+    report = evaluate_continuous(
+        Sliding(),
+        log,
+        {"brakes": braking, "flees": fleeing},
+        settings=Settings(episodes=200),
+        horizon=60,
+        seed=0,
+    )
+    assert report.headline.count("The log cannot say") == 1
+    assert "what the policy “flees” is worth in the target" in report.headline
+    assert "start outside the range of the recorded states" in report.headline
+    assert "the policy “brakes” is worth about" in report.headline
+    flees = [r for r in report.records() if r["policy"] == "flees"]
+    assert flees[0]["lower"] is None
+    assert "the correction is a guess" in flees[0]["status"]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.floats(-10, 10),
+    st.floats(0, 10),
+    st.integers(1, 30),
+    st.floats(0, 1),
+    st.booleans(),
+    st.floats(-400, 400),
+    st.floats(0, 50),
+)
+def test_no_interval_goes_beyond_what_rewards_sum_to(
+    low, width, horizon, discount, ends, value, error
+):
+    bounds = possible_sums(low, low + width, horizon, discount, ends=ends)
+    assert bounds[0] <= bounds[1] + 1e-9
+    raw = Estimate(value, error, (value - 2 * error, value + 2 * error), is_normal=True)
+    found = choose_interval(refuse_impossible(raw, *bounds, horizon), None, 0.9)
+    slack = 1e-8 * (1.0 + max(map(abs, bounds)))
+    if np.isnan(found.value):
+        assert found.interval is None
+        return
+    assert bounds[0] - slack <= found.value <= bounds[1] + slack
+    if found.interval is not None:
+        assert bounds[0] - slack <= found.interval[0] <= found.value
+        assert found.value <= found.interval[1] <= bounds[1] + slack
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-5, 5), min_size=1, max_size=20), st.floats(0, 1))
+def test_sums_of_rewards_are_possible(rewards, discount):
+    """Whatever rewards come, and however early the episode ends."""
+    low, high = min(rewards), max(rewards)
+    weights = discount ** np.arange(len(rewards))
+    for n in range(1, len(rewards) + 1):
+        total = float(weights[:n] @ rewards[:n])
+        ends = n < len(rewards)
+        least, most = possible_sums(low, high, len(rewards), discount, ends=ends)
+        assert least - 1e-9 <= total <= most + 1e-9
+
+
 def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
     """Rewards are at most 0, in the log and in the simulator: no value above 0 stands."""
     log = record(
@@ -808,6 +910,6 @@ def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
     assert residual.estimator == "oee (residual)"
     assert np.isnan(residual.estimate.value)
     assert (
-        "is impossible: a sum of 20 rewards is between -inf and 0"
+        "is impossible: a sum of 20 rewards is between -18.21 and 0"
         in residual.estimate.status
     )
