@@ -29,6 +29,7 @@ from oee_tabular.continuous.correction.history import earlier_rows
 
 # what of an earlier step matters
 Kind: TypeAlias = Literal["action", "residual"]
+Block: TypeAlias = tuple[int, Kind]  # how many steps back, and what of them
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
 # rows by which the test is made; slow tasks step one state at a time
@@ -99,58 +100,90 @@ def history_effects(
         return best
     # the last code stands for no action, as row -1 stands for no row
     codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
-    own = task.noiseless_step(log.state[rows], actions[rows]).next_state
-    acted = []
-    # inputs are which action was taken then, and where the simulator would go under it
-    for back in earlier[rows].T:
-        then = np.where(back >= 0, actions[back], actions[rows])
-        other = task.noiseless_step(log.state[rows], then).next_state - own
-        scale = other.std(axis=0)
-        acted.append(
-            np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]])
-        )
+    acted = _actions_then(task, log, actions, rows, earlier[rows], codes)
     for is_usable, has_residuals in ((is_smooth, True), (is_free, False)):
-        used = rows[is_usable[rows]]
+        is_used = is_usable[rows]
+        used = rows[is_used]
         if len(used) < MIN_ROWS:
             continue
         unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
         scaled = residuals / np.where(unit > 0, unit, 1.0)
         y = np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None]
-        blocks: dict[tuple[int, Kind], Array] = {}
+        blocks: dict[Block, Array] = {}
         for k, block in enumerate(acted, start=1):
-            blocks[k, "action"] = block[is_usable[rows]]
+            blocks[k, "action"] = block[is_used]
         if has_residuals:
             padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
             for k, back in enumerate(earlier[used].T, start=1):
                 blocks[k, "residual"] = padded[back]
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
-        x = np.column_stack([codes[used], near])
-        target = y[used]
-        fold = group[used] % FOLDS
-        plain = _errors_held_out([x], target, fold)
-        total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
-        gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
-        shares: dict[tuple[int, Kind], Array] = {}
-        for key, block in blocks.items():
-            alone = _errors_held_out([x, block], target, fold)
-            shares[key] = (plain - alone).sum(axis=0) / total
-        whole = gained.sum(axis=0) / total
-        size = unit * np.sqrt((target**2).mean(axis=0))
-        n_deviations = MIN_STANDARD_ERRORS * len(used) ** 0.5
-        is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
-        is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
-        is_better = whole > [effect.r_squared for effect in best]
-        for target_number in np.flatnonzero(is_sure & is_large & is_better):
-            k = int(target_number)
-            (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
-            best[k] = HistoryEffect(
-                float(whole[k]),
-                lag,
-                kind,
-                float(share[k]),
-                float(whole[k] ** 0.5 * size[k]),
-            )
+        present = np.column_stack([codes[used], near])
+        size = unit * np.sqrt((y[used] ** 2).mean(axis=0))
+        found = _explain(present, blocks, y[used], group[used] % FOLDS, size, least)
+        best = [
+            new if new.r_squared > old.r_squared else old
+            for old, new in zip(best, found, strict=True)
+        ]
     return best
+
+
+def _actions_then(
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    actions: IntArray,
+    rows: IntArray,
+    earlier: IntArray,
+    codes: Array,
+) -> list[Array]:
+    """Return the inputs of regressions for each of the earlier steps.
+
+    They are which action was taken then, and where the simulator would go under it now,
+    beside where it goes.
+    """
+    states = log.state[rows]
+    own = task.noiseless_step(states, actions[rows]).next_state
+    inputs = []
+    for back in earlier.T:
+        then = np.where(back >= 0, actions[back], actions[rows])
+        other = task.noiseless_step(states, then).next_state - own
+        scale = other.std(axis=0)
+        inputs.append(
+            np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]])
+        )
+    return inputs
+
+
+def _explain(
+    present: Array,
+    blocks: dict[Block, Array],
+    target: Array,
+    fold: IntArray,
+    size: Array,
+    least: Array,
+) -> list[HistoryEffect]:
+    """Return what the blocks of history explain of each target (n, k).
+
+    ``present`` are the inputs without history; ``size`` (k,) is the targets' unit, and
+    effects that are unsure, or of at most ``least`` (k,), are none.
+    """
+    plain = _errors_held_out([present], target, fold)
+    total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
+    gained = plain - _errors_held_out([present, *blocks.values()], target, fold)
+    shares: dict[Block, Array] = {}
+    for key, block in blocks.items():
+        alone = _errors_held_out([present, block], target, fold)
+        shares[key] = (plain - alone).sum(axis=0) / total
+    whole = gained.sum(axis=0) / total
+    n_deviations = MIN_STANDARD_ERRORS * len(target) ** 0.5
+    is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
+    is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
+    effects = [HistoryEffect() for _ in whole]
+    for number in np.flatnonzero(is_sure & is_large & (whole > 0)):
+        k = int(number)
+        (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
+        part = float(whole[k] ** 0.5 * size[k])
+        effects[k] = HistoryEffect(float(whole[k]), lag, kind, float(share[k]), part)
+    return effects
 
 
 def hidden_state(learned: ResidualSimulator) -> str:

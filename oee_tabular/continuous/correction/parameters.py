@@ -34,7 +34,7 @@ from oee_tabular.continuous.task.base import (
     shortest,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, IntArray
 
 # rows by which parameters are fitted; slow tasks step one state at a time
 MAX_ROWS = 20_000
@@ -45,6 +45,7 @@ RELATIVE_STEP = 1e-5  # of the derivatives in p, in units of a parameter's size
 # share of the curvature's largest eigenvalue: the log does not determine a direction
 # with less
 MIN_RELATIVE_CURVATURE = 1e-9
+N_SCALES = 3  # fits: the scale of the errors falls as the fit improves
 MIN_ERROR_SCALE = 1e-7  # displacements' deviations: less is rounding
 
 
@@ -170,6 +171,75 @@ def fit_parameters(
     True
     """
     _checks.function(task_of, "task_of")
+    names, x0 = _read_start(start)
+    ends = _read_bounds(bounds, names, x0)
+    errors = OneStepErrors(_make_task(task_of, names, x0), log)
+
+    def task_at(x: Array) -> ContinuousTask:
+        """Return the task with these parameters."""
+        return task_of(**_by_name(names, x))
+
+    def scaled_errors(x: Array) -> Array:
+        """Return the errors in units of the displacements' deviations, as a vector."""
+        return errors.scaled(task_at(x))
+
+    size = np.where(x0 != 0, np.abs(x0), 1.0)
+    x, c, active = _least_squares(scaled_errors, x0, ends, size)
+    sandwich = _sandwich(
+        _jacobian(scaled_errors, x, size), scaled_errors(x), c, errors.n_used
+    )
+    error = np.maximum(sandwich, MIN_RELATIVE_ERROR * size)
+    task = task_at(x)
+    at_bounds = tuple(name for name, k in zip(names, active, strict=True) if k)
+    return ParameterFit(
+        task,
+        _by_name(names, x),
+        _by_name(names, error),
+        errors.of(task, 1),
+        _by_name(names, x0),
+        at_bounds,
+    )
+
+
+class OneStepErrors:
+    """The one-step errors of tasks on the rows of a log.
+
+    Parameters
+    ----------
+    first : ContinuousTask
+        A task with the states and the actions of all of them.
+    log : ContinuousTransitions
+        The log.
+
+    Attributes
+    ----------
+    n_used : int
+        The number of rows by which parameters are fitted.
+    """
+
+    def __init__(self, first: ContinuousTask, log: ContinuousTransitions) -> None:
+        self._log = log
+        self._actions = number_actions(first, log)
+        self._periods = find_periods(first, log.next_state)
+        most = MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS
+        self._step = -(-len(log) // most)
+        moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
+        self._unit = np.where(moved > 0, moved, 1.0)
+        self.n_used = len(log.state[:: self._step])
+
+    def of(self, task: ContinuousTask, step: int) -> Array:
+        """Return the errors of a task in every ``step``-th row of the log."""
+        states = self._log.state[::step]
+        own = task.noiseless_step(states, self._actions[::step]).next_state
+        return shortest(self._log.next_state[::step] - own, self._periods)
+
+    def scaled(self, task: ContinuousTask) -> Array:
+        """Return those of the used rows, in the displacements' deviations, flat."""
+        return (self.of(task, self._step) / self._unit).ravel()
+
+
+def _read_start(start: Mapping[str, float]) -> tuple[list[str], Array]:
+    """Return the names of the parameters and the numbers to begin with."""
     if not isinstance(start, Mapping) or not start:
         raise ArgumentError(
             "start",
@@ -181,12 +251,17 @@ def fit_parameters(
             raise ArgumentError(
                 "start", f"must have texts as names of parameters; one is {name!r}"
             )
-    x0 = np.array(
-        [
-            _checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf)
-            for name in names
-        ]
-    )
+    numbers = [
+        _checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf)
+        for name in names
+    ]
+    return names, np.array(numbers)
+
+
+def _read_bounds(
+    bounds: Mapping[str, tuple[float, float]] | None, names: list[str], x0: Array
+) -> tuple[Array, Array]:
+    """Return the lower and the upper bounds; without, a parameter keeps its sign."""
     low = np.where(x0 > 0, 0.0, -np.inf)
     high = np.where(x0 < 0, 0.0, np.inf)
     if bounds is not None and not isinstance(bounds, Mapping):
@@ -214,69 +289,57 @@ def fit_parameters(
                 f"start[{name!r}]",
                 f"must be in its bounds, {low[k]:g} to {high[k]:g}; it is {x0[k]:g}",
             )
+    return low, high
 
-    def by_name(x: Array) -> dict[str, float]:
-        """Return the parameters as a mapping from their names."""
-        return dict(zip(names, x.tolist(), strict=True))
 
+def _by_name(names: list[str], x: Array) -> dict[str, float]:
+    """Return parameters as a mapping from their names."""
+    return dict(zip(names, x.tolist(), strict=True))
+
+
+def _make_task(
+    task_of: Callable[..., ContinuousTask], names: list[str], x0: Array
+) -> ContinuousTask:
+    """Return the task to begin with; names that it does not take are an error."""
     try:
-        made = task_of(**by_name(x0))
+        made = task_of(**_by_name(names, x0))
     except TypeError as refusal:
         if "keyword argument" not in str(refusal):  # it is of what task_of does inside
             raise
         raise ArgumentError(
             "start", f"must name parameters that task_of takes: {refusal}"
         ) from refusal
-    first = _checks.instance(made, ContinuousTask, "task_of(**start)")
-    actions = number_actions(first, log)
-    periods = find_periods(first, log.next_state)
-    step = -(-len(log) // (MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS))
-    moved = shortest(log.next_state - log.state, periods).std(axis=0)
+    return _checks.instance(made, ContinuousTask, "task_of(**start)")
 
-    def errors(task: ContinuousTask, step: int) -> Array:
-        """Return the one-step errors of a task in every ``step``-th row of the log."""
-        own = task.noiseless_step(log.state[::step], actions[::step]).next_state
-        return shortest(log.next_state[::step] - own, periods)
 
-    def scaled_errors(x: Array) -> Array:
-        """Return the errors in units of the displacements' deviations, as a vector."""
-        left = errors(task_of(**by_name(x)), step)
-        return (left / np.where(moved > 0, moved, 1.0)).ravel()
-
-    x = x0
-    size = np.where(x0 != 0, np.abs(x0), 1.0)
+def _least_squares(
+    errors: Callable[[Array], Array],
+    x0: Array,
+    ends: tuple[Array, Array],
+    size: Array,
+) -> tuple[Array, float, IntArray]:
+    """Return the fit, the scale c of its errors, and which bounds it lies at."""
     options: dict[str, Any] = {
         "loss": "soft_l1",
         "x_scale": size,
         "diff_step": RELATIVE_STEP,
         "max_nfev": 50,
     }
-    for _ in range(3):  # the scale of the errors falls as the fit improves
-        left = np.abs(scaled_errors(x))
+    x = x0
+    for _ in range(N_SCALES):
+        left = np.abs(errors(x))
         median = float(np.median(left[left > 0])) if (left > 0).any() else 0.0
         c = max(median, MIN_ERROR_SCALE)
-        result = least_squares(
-            scaled_errors, x, bounds=(low, high), f_scale=c, **options
-        )
+        result = least_squares(errors, x, bounds=ends, f_scale=c, **options)
         x = result.x
+    return x, c, result.active_mask
+
+
+def _jacobian(errors: Callable[[Array], Array], x: Array, size: Array) -> Array:
+    """Return the derivatives of the errors (n, p), by central differences."""
     steps = np.diag(RELATIVE_STEP * size)
-    jacobian = np.stack(
-        [
-            (scaled_errors(x + h) - scaled_errors(x - h)) / (2.0 * h.sum())
-            for h in steps
-        ],
-        axis=1,
-    )
-    n_rows = len(log.state[::step])
-    sandwich = _sandwich(jacobian, scaled_errors(x), c, n_rows)
-    error = np.maximum(sandwich, MIN_RELATIVE_ERROR * size)
-    task = task_of(**by_name(x))
-    at_bounds = tuple(
-        name for name, mask in zip(names, result.active_mask, strict=True) if mask
-    )
-    return ParameterFit(
-        task, by_name(x), by_name(error), errors(task, 1), by_name(x0), at_bounds
-    )
+    columns = [(errors(x + h) - errors(x - h)) / (2.0 * h.sum()) for h in steps]
+    return np.stack(columns, axis=1)
 
 
 def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
