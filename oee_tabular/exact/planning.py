@@ -52,7 +52,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     -------
     ndarray of shape (S, A) or (T, S, A)
         Action probabilities, 0 or 1: a stationary policy without a horizon, one policy
-        for each step with a horizon. Of equally good actions the first is taken.
+        for each step with a horizon. Of equally good actions the first is taken that can
+        be taken in the state.
 
     Raises
     ------
@@ -100,7 +101,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     # at discount 1 a greedy start may never be absorbed; the uniform policy is absorbed
     # if any policy is
     if mdp.discount == 1.0:
-        actions = action_values(mdp, uniform_policy(mdp)).argmax(axis=1)
+        q = action_values(mdp, uniform_policy(mdp))
+        actions = drop_unavailable(mdp, q).argmax(axis=1)
         values = None
     else:
         n_turns = MAX_TURNS_NARROW if is_narrow(mdp) else MAX_TURNS
@@ -146,11 +148,17 @@ def find_better_actions(
     largest Q.
     """
     q = back_up_pairs(mdp, values)
-    best = q.max(axis=1)
     allowed = relative * _system.largest_magnitude(q)
+    q = drop_unavailable(mdp, q)
+    best = q.max(axis=1)
     first = (q >= (best - allowed)[:, None]).argmax(axis=1)
     own = q[np.arange(len(q)), actions]
     return first, np.where(best > own + allowed, first, actions)
+
+
+def drop_unavailable(mdp: FiniteMDP, q: Array) -> Array:
+    """Return Q (S, A), -inf where the action cannot be taken, which no maximum is."""
+    return q if mdp.has_all_actions else np.where(mdp.available, q, -np.inf)
 
 
 @njit(cache=True)
@@ -166,17 +174,22 @@ def action_value(model, values, state, action):
 
 @njit(cache=True)
 def improve(model, values, new, actions):
-    """Compute new = max_a Q, and the best actions, the first of equals.
+    """Compute new = max_a Q, and the best actions that can be taken, the first of equals.
 
     Returns the spread of new - values over the states, and the largest value.
     """
     low = np.inf
     high = -np.inf
     largest = 0.0
+    n_actions = model[1].shape[1]
     for state in range(len(values)):
         best = -np.inf
         chosen = 0
-        for action in range(model[1].shape[1]):
+        for action in range(n_actions):
+            row = np.uint64(state * n_actions + action)
+            # the row of an action that cannot be taken is empty
+            if model[0].indptr[row] == model[0].indptr[row + np.uint64(1)]:
+                continue
             value = action_value(model, values, state, action)
             if value > best:
                 best = value

@@ -25,7 +25,7 @@ from oee_tabular.mdp.environments import (
     read_number,
     require_environment,
 )
-from oee_tabular.mdp.naming import Name, check_names, coordinates
+from oee_tabular.mdp.naming import Name, coordinates, valid_names
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 # Wrappers of Gymnasium that change neither actions nor observations nor rewards. A time
@@ -96,7 +96,7 @@ def read_table(env: Any) -> dict[str, Any]:
         _checks.distribution(first, "env.initial_state_distrib", (n_states,)),
         n_actions,
         layout=_map_layout(base, n_states),
-        state_names=_valid_names(getattr(base, "state_names", None), n_states),
+        state_names=valid_names(getattr(base, "state_names", None), n_states),
         action_names=_action_names(base, n_actions),
     )
 
@@ -388,14 +388,6 @@ def _map_layout(base: object, n_states: int) -> Array | None:
     return None
 
 
-def _valid_names(given: object, size: int) -> tuple[Name, ...] | None:
-    """Return ``given`` as names, or None where they break a rule."""
-    try:
-        return None if given is None else check_names(given, "names", size)
-    except ValueError:
-        return None
-
-
 def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
     """Return an environment's names of its actions, or its module's (LEFT = 0).
 
@@ -406,7 +398,7 @@ def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
         with contextlib.suppress(Exception):  # an environment's own code: no names then
             given = base.get_action_meanings()
     if given is not None:
-        return _valid_names(given, n_actions)
+        return valid_names(given, n_actions)
     constants = getattr(sys.modules.get(type(base).__module__), "__dict__", {}).items()
     numbered = sorted(
         (v, k.lower())

@@ -69,14 +69,18 @@ class Rows:
 
     @classmethod
     def of(cls, simulator: FiniteMDP) -> Rows:
-        """Return all rows of a simulator."""
+        """Return all rows of a simulator, but those of actions that cannot be taken."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
+        number = np.arange(csr.shape[0])
+        if not simulator.has_all_actions:
+            number = np.flatnonzero(simulator.available)
+            indptr = np.append(indptr[number], indptr[-1])
         sums = np.add.reduceat(csr.data, indptr[:-1])
         weights = csr.data / np.repeat(sums, np.diff(indptr))
         sizes = simulator.n_states, simulator.n_actions
         return cls(
-            np.arange(csr.shape[0]),
+            number,
             csr.indices,
             weights,
             indptr,

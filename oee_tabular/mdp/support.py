@@ -19,7 +19,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
 from oee_tabular.mdp.logs import LogLike, require_log
-from oee_tabular.typing import Array, Csr, IntArray, SparseLike
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, SparseLike
 
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
@@ -34,9 +34,10 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     noise = sparse.kron(
         sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
     )
-    mixing = sparse.csr_array(
-        (1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise
-    )
+    same = sparse.eye_array(n_states * n_actions)
+    if not mdp.has_all_actions:
+        noise, same = _mix_available(mdp.available)
+    mixing = sparse.csr_array((1.0 - eps) * same + eps * noise)
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
     expected = mixing @ mdp.rewards.reshape(-1)
     rewards: Array | Csr = expected.reshape(mdp.rewards.shape)
@@ -48,9 +49,23 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     sampling = mdp.sampling
     if sampling is not None:
         # each pair rests on the least sampled action of its state
-        least = sampling.pairs.reshape(-1, n_actions).min(axis=1)
-        sampling = sampling._replace(pairs=np.repeat(least, n_actions))
+        pairs = sampling.pairs.reshape(-1, n_actions)
+        least = pairs.min(axis=1, where=mdp.available, initial=np.inf)
+        number = np.where(mdp.available, least[:, None], pairs)
+        sampling = sampling._replace(pairs=number.reshape(-1))
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
+
+
+def _mix_available(available: BoolArray) -> tuple[Any, Any]:
+    """Return what takes each row to the mean row of its state, and to itself.
+
+    The rows of actions that cannot be taken are neither averaged nor made.
+    """
+    n_states, n_actions = available.shape
+    kept = sparse.diags_array(available.reshape(-1).astype(np.float64))
+    shares = available / available.sum(axis=1, keepdims=True)
+    among = sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, n_actions)))
+    return kept @ among @ sparse.diags_array(shares.reshape(-1)), kept
 
 
 def add_support(
@@ -62,6 +77,7 @@ def add_support(
     """
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _read_transitions(mdp, log)
+    require_available_rows(mdp, rows, "log")
     matrix = mdp.transitions
     observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
     is_impossible = align(matrix, observed)[0] < MIN_PROBABILITY
@@ -87,6 +103,26 @@ def add_support(
         matrix.shape,
     )
     return {"transitions": new, "rewards": rewards}
+
+
+def require_available_rows(mdp: FiniteMDP, rows: IntArray, name: str) -> None:
+    """Raise an ArgumentError where rows s*A + a are of actions that cannot be taken.
+
+    ``rows`` are those of the transitions of ``name``, in its order.
+    """
+    if mdp.has_all_actions:
+        return
+    bad = np.flatnonzero(~mdp.available.reshape(-1)[rows])
+    if bad.size:
+        state, action = divmod(int(rows[bad[0]]), mdp.n_actions)
+        more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        raise ArgumentError(
+            f"{name}[{bad[0]}]",
+            "must have actions that can be taken in their state;"
+            f" {mdp.names.pair(state, action)} cannot{more} (simulator.available says"
+            " which can: make it True there, with the row of transitions, or leave such"
+            " rows out of the log)",
+        )
 
 
 def _added_rewards(
