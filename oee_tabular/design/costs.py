@@ -48,9 +48,7 @@ def row_costs(
     optimistic rows (S*A,) have the largest plausible variance. ``counts`` (S*A,) are
     the log's. Cost: one policy evaluation and one occupancy for each policy.
     """
-    largest = reduce_rows(
-        np.maximum, model.transitions.data, model.transitions.indptr
-    )
+    largest = reduce_rows(np.maximum, model.transitions.data, model.transitions.indptr)
     is_terminal = np.repeat(simulator.closed(), simulator.n_actions)
     is_deterministic = largest >= MIN_CERTAIN_PROBABILITY
     certain = is_deterministic & ~is_terminal & optimistic
