@@ -233,7 +233,15 @@ def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
     own = _entry(table, "env.P", 0, n_states, "state")
     n_actions = len(_entries(own, "env.P[0]", "action"))
     if isinstance(own, Mapping):
-        numbers = [key for key in own if _checks.is_integer(key)]
+        # a state may lack some of the actions
+        rows = table.values() if isinstance(table, Mapping) else table
+        numbers = [
+            key
+            for row in rows
+            if isinstance(row, Mapping)
+            for key in row
+            if _checks.is_integer(key)
+        ]
         n_actions = max(n_actions, 1 + max(numbers, default=0))
     space = getattr(base, "action_space", None)
     if is_discrete(space):
