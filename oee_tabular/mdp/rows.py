@@ -203,7 +203,9 @@ class Rows:
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
 
 
-def reduce_rows(operation: np.ufunc, values: Array, indptr: IntArray) -> Array:
+def reduce_rows(
+    operation: np.ufunc, values: NDArray[Any], indptr: NDArray[np.integer[Any]]
+) -> Array:
     """Add, or otherwise join, the (entries,) or (entries, d) values of each row.
 
     An empty row has 0, where ``reduceat`` would take the entry of the next one.

@@ -413,14 +413,15 @@ def require_pair(target: object, simulator: object) -> None:
 
     The same actions can be taken in each state.
     """
-    first = _checks.instance(target, FiniteMDP, "target").transitions
-    second = _checks.instance(simulator, FiniteMDP, "simulator").transitions
-    if first.shape != second.shape:
+    first = _checks.instance(target, FiniteMDP, "target")
+    second = _checks.instance(simulator, FiniteMDP, "simulator")
+    shapes = first.transitions.shape, second.transitions.shape
+    if shapes[0] != shapes[1]:
         raise ValueError(
             "target and simulator must have the same states and actions; their"
-            f" transitions have shapes {first.shape} and {second.shape}"
+            f" transitions have shapes {shapes[0]} and {shapes[1]}"
         )
-    require_same_available(target, simulator)
+    require_same_available(first, second)
 
 
 @checked(counts=("below", "above", "unsupported"))

@@ -184,11 +184,10 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     @st.composite
     def draw_rows(draw: st.DrawFn) -> list[list[float]]:
         rows = np.zeros(model.rewards.shape)
-        for row, can in zip(rows, model.available, strict=True):
+        for chances, can in zip(rows, model.available, strict=True):
             number = int(np.count_nonzero(can))
-            row[can] = draw(_rows(number, [] if zeros else range(number)))
-        drawn: list[list[float]] = rows.tolist()
-        return drawn
+            chances[can] = draw(_rows(number, [] if zeros else range(number)))
+        return [list(map(float, chances)) for chances in rows]
 
     return draw_rows().map(_array)
 

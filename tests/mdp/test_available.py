@@ -113,12 +113,12 @@ def test_values_of_policies_do_not_change(model, data):
         lift.back(q), oee.action_values(mdp, policy, horizon=horizon), **CLOSE
     )
     assert (q[~lift.available] == -np.inf).all()
+    steps = horizon or 3
     assert_allclose(
-        oee.occupancy(masked, lifted, horizon=horizon),
-        lift.table(oee.occupancy(mdp, policy, horizon=horizon)),
+        oee.occupancy(masked, lifted, horizon=steps),
+        lift.table(oee.occupancy(mdp, policy, horizon=steps)),
         **CLOSE,
     )
-    steps = horizon or 3
     ours, theirs = (
         oee.return_moments(m, pi, horizon=steps)
         for m, pi in ((masked, lifted), (mdp, policy))
@@ -161,6 +161,7 @@ def test_optimal_uniform_and_noisy_actions_are_among_those_that_can_be_taken(
     )
 
 
+@settings(max_examples=15)
 @given(models(discounts=(0.0, 0.5, 0.9)), st.data())
 def test_ranges_and_bounds_do_not_change(model, data):
     mdp, lift = model
@@ -197,7 +198,7 @@ def test_ranges_and_bounds_do_not_change(model, data):
         assert_allclose(ours, theirs, **CLOSE)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(models(discounts=(0.5, 0.9), min_states=2), st.data())
 def test_an_interval_gives_nothing_to_rows_that_cannot_be_used(model, data):
     mdp, lift = model
@@ -225,7 +226,7 @@ def test_an_interval_gives_nothing_to_rows_that_cannot_be_used(model, data):
         assert_allclose(found[2], found[0], rtol=1e-5, atol=1e-5)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(models(same=True, discounts=(0.5, 0.9), min_states=2), st.data())
 def test_an_action_that_no_state_has_changes_no_estimate_and_no_report(model, data):
     mdp, lift = model
@@ -264,10 +265,10 @@ def test_an_action_that_no_state_has_changes_no_estimate_and_no_report(model, da
     ]
     for estimator in estimators:
         one, other = (estimator(problem, pi).value for problem, pi in pairs)
-        assert_allclose(other, one, rtol=1e-7, atol=1e-7)
+        assert_allclose(other, one, rtol=1e-5, atol=1e-5)
 
 
-@settings(max_examples=10)
+@settings(max_examples=8)
 @given(models(discounts=(0.5, 0.9), min_states=2), st.data())
 def test_plans_record_what_can_be_recorded(model, data):
     mdp, lift = model
@@ -527,7 +528,7 @@ class Stepped:
 
     def step(self, action):
         if not self.mdp.available[self.state, action]:
-            raise RuntimeError("this action cannot be taken here")
+            raise LookupError("this action cannot be taken here")
         row = self.mdp.transitions[[self.state * self.mdp.n_actions + action]]
         reward = float(self.mdp.rewards[self.state, action])
         self.state = int(self.random.choice(self.mdp.n_states, p=row.toarray()[0]))
@@ -621,9 +622,7 @@ def test_bad_masks_are_named():
         with pytest.raises(ArgumentError, match=text):
             FiniteMDP.from_env(env, samples_per_pair=3, seed=0)
     silent = Stepped(two_states(), has_masks=False)
-    with pytest.raises(
-        ArgumentError, match="cannot be taken here .*by a mask|must not"
-    ):
+    with pytest.raises(ArgumentError, match=r"must not raise; .*cannot be taken here"):
         FiniteMDP.from_env(silent, samples_per_pair=1, seed=0)
     whole = Stepped(two_states(transitions=np.full((2, 3, 2), 0.5), available=None))
     whole.info = lambda: {"action_mask": [0, 1, 1]}

@@ -53,5 +53,5 @@ def test_its_name_on_the_command_line():
     assert task.mdp.discount == 0.7
     assert np.array_equal(task.mdp.available, same.available)
     assert np.array_equal(task.expert(), oee.optimal_policy(same))
-    with pytest.raises(ValueError, match="must be like .recycling_robot:beta=0"):
+    with pytest.raises(ValueError, match=r"must be like 'recycling_robot:beta=0.6'"):
         oee.tasks.named_task("recycling_robot:gamma=0.5")
