@@ -302,7 +302,8 @@ class Explorer:
 
     def _keep(self, info: Any) -> None:
         """Keep the mask that came with an observation, and nothing else of its info."""
-        has_mask = isinstance(info, Mapping) and MASK in info
+        is_mapping = type(info) is dict or isinstance(info, Mapping)
+        has_mask = is_mapping and MASK in info
         self._info = info if has_mask else None
 
     def _read_mask(self, state: int, call: int | str) -> None:
