@@ -20,7 +20,12 @@ from oee_tabular.exact import _system
 from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
-from oee_tabular.exact.values import action_values, finite_values, infinite_values
+from oee_tabular.exact.values import (
+    action_values,
+    drop_unavailable,
+    finite_values,
+    infinite_values,
+)
 from oee_tabular.mdp import FiniteMDP, limit_horizon, uniform_policy
 from oee_tabular.typing import Array, IntArray
 
@@ -52,7 +57,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     -------
     ndarray of shape (S, A) or (T, S, A)
         Action probabilities, 0 or 1: a stationary policy without a horizon, one policy
-        for each step with a horizon. Of equally good actions the first is taken.
+        for each step with a horizon. Of equally good actions the first is taken that can
+        be taken in the state.
 
     Raises
     ------
@@ -91,7 +97,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.optional_horizon(horizon)
-    model = rows_of(mdp.csr), mdp.rewards, mdp.discount
+    # the reward -inf is never the largest: no such action is chosen
+    model = rows_of(mdp.csr), drop_unavailable(mdp, mdp.rewards), mdp.discount
     if steps is not None:
         length = limit_horizon(
             steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size
@@ -146,8 +153,9 @@ def find_better_actions(
     largest Q.
     """
     q = back_up_pairs(mdp, values)
-    best = q.max(axis=1)
     allowed = relative * _system.largest_magnitude(q)
+    q = drop_unavailable(mdp, q)
+    best = q.max(axis=1)
     first = (q >= (best - allowed)[:, None]).argmax(axis=1)
     own = q[np.arange(len(q)), actions]
     return first, np.where(best > own + allowed, first, actions)

@@ -19,6 +19,10 @@ which has the same J. It does not replace r(s, a, s') where a transition is weig
 a ratio, E[zeta r(s, a, s')], and it is averaged again when P changes
 (``with_transitions``); a new transition whose reward is undefined is an error.
 
+Where an action cannot be taken in a state (``available[s, a]`` is False), its row of P
+is empty, r(s, a) = 0, and a policy has pi(a | s) = 0. Means and best actions are then
+over the actions that can be taken.
+
 A *terminal* state is closed, P(s | s, a) = 1 for each a, and has reward 0. A transition
 that terminates on entering s leads to ``terminal_state[s]``: s itself, or a twin
 appended to the environment's S0 states where s is also entered alive. A *layout* (S, c)
@@ -75,7 +79,9 @@ from oee_tabular.mdp.naming import to_text as to_text
 from oee_tabular.mdp.policies import check_policies as check_policies
 from oee_tabular.mdp.policies import check_policy, mix, uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy as deterministic_policy
+from oee_tabular.mdp.policies import has_all_actions as has_all_actions
 from oee_tabular.mdp.policies import read_policy_array as read_policy_array
+from oee_tabular.mdp.policies import require_available as require_available
 from oee_tabular.mdp.policies import shape_of as shape_of
 from oee_tabular.mdp.policies import split_policies as split_policies
 from oee_tabular.mdp.rows import BLOCK as BLOCK
@@ -83,7 +89,11 @@ from oee_tabular.mdp.rows import DIGITS as DIGITS
 from oee_tabular.mdp.rows import Rows as Rows
 from oee_tabular.mdp.rows import displacements
 from oee_tabular.mdp.rows import distinct_rows as distinct_rows
+from oee_tabular.mdp.rows import reduce_rows as reduce_rows
 from oee_tabular.mdp.rows import round_displacements as round_displacements
+from oee_tabular.mdp.support import mean_available as mean_available
+from oee_tabular.mdp.support import require_available_rows as require_available_rows
+from oee_tabular.mdp.support import require_same_available as require_same_available
 
 # what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = ["FiniteMDP", "check_policy", "displacements", "mix", "uniform_policy"]

@@ -30,13 +30,53 @@ from oee_tabular._sparse import (
     stack_actions,
 )
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp.naming import NAMELESS, Names, valid_names
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 _SHAPES = (
     "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state"
     " and one action"
 )
+_EMPTY_HINT = " (of an action that cannot be taken: available=)"
+
+
+class Available(NamedTuple):
+    """Hold which actions can be taken, and the names that errors call them by.
+
+    Attributes
+    ----------
+    mask : ndarray of bool of shape (S, A)
+        True where the action can be taken; each state has such an action.
+    names : Names
+        The names of states and actions.
+    """
+
+    mask: BoolArray
+    names: Names
+
+    def sums(self, sums: NDArray[Any]) -> NDArray[Any]:
+        """Return (S, A) sums of rows, 1 in place of 0 where no row is needed.
+
+        A row that is not empty where its action is unavailable is an ArgumentError.
+        """
+        if sums.shape != self.mask.shape:
+            (states, actions), (n, m) = self.mask.shape, sums.shape
+            raise ArgumentError(
+                "transitions",
+                f"must be for {states} states and {actions} actions, as available is;"
+                f" they are for {n} and {m}",
+            )
+        bad = np.argwhere(~self.mask & (sums != 0))
+        if len(bad):
+            more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
+            raise ArgumentError(
+                _checks.place("transitions", tuple(bad[0])),
+                "must be zeros where the action cannot be taken;"
+                f" {self.names.pair(*bad[0])} has a next state, and"
+                f" {_checks.place('available', tuple(bad[0]))} is False{more} (make it"
+                " True, or the row zeros)",
+            )
+        return np.where(self.mask, sums, sums.dtype.type(1))
 
 
 class CsrArrays(NamedTuple):
@@ -109,25 +149,42 @@ def csr_from_entries(
     return canonical(matrix, drop_zeros=False)
 
 
-def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
+def check_transitions(
+    transitions: Any, available: Available | None = None
+) -> tuple[CsrArrays, int, int]:
     """Check P and return its entries, the number of states and the number of actions.
 
-    What another MDP has checked (``CsrArrays``) is taken as it is.
+    Rows are empty exactly where an action is not ``available``. What another MDP has
+    checked (``CsrArrays``) is taken as it is, but for that.
     """
     if isinstance(transitions, CsrArrays):
         csr = transitions
         # those of a pickle can be written to
         for part in (csr.indptr, csr.indices, csr.data):
             freeze(part)
+        _require_rows(csr, available)
     elif _checks.is_sparse(transitions) or is_matrix_list(transitions):
-        csr = _check_sparse_transitions(transitions)
+        csr = _check_sparse_transitions(transitions, available)
     else:
-        csr = _check_dense_transitions(transitions)
+        csr = _check_dense_transitions(transitions, available)
     n_rows, n_states = csr.shape
     return csr, n_states, n_rows // n_states
 
 
-def _check_dense_transitions(transitions: Any) -> CsrArrays:
+def _require_rows(csr: CsrArrays, available: Available | None) -> None:
+    """Require that rows have entries exactly where actions are available."""
+    is_filled = csr.indptr[1:] > csr.indptr[:-1]
+    n_states = csr.shape[1]
+    if available is not None:
+        is_filled = available.sums(is_filled.reshape(n_states, -1))
+    if not is_filled.all():
+        sums = is_filled.reshape(n_states, -1).astype(np.float64)
+        _checks.require_sums_to_one(sums, "transitions", _EMPTY_HINT)
+
+
+def _check_dense_transitions(
+    transitions: Any, available: Available | None = None
+) -> CsrArrays:
     """Check a dense P of shape (S, A, S) and return its entries."""
     dense = _checks.float_array(transitions, "transitions")
     shape = dense.shape
@@ -140,11 +197,16 @@ def _check_dense_transitions(transitions: Any) -> CsrArrays:
         )
     _checks.require_nonnegative(dense, "transitions")
     dense = _checks.scale_if_single(dense, transitions)
-    _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
+    sums = dense.sum(axis=2)
+    if available is not None:
+        sums = available.sums(sums)
+    _checks.require_sums_to_one(sums, "transitions", _EMPTY_HINT)
     return CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
 
 
-def _check_sparse_transitions(transitions: Any) -> CsrArrays:
+def _check_sparse_transitions(
+    transitions: Any, available: Available | None = None
+) -> CsrArrays:
     """Check a sparse P of shape (S*A, S) and return its entries."""
     if is_matrix_list(transitions):
         transitions = stack_actions(transitions, "transitions")
@@ -162,11 +224,15 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
         )
     matrix = canonical(raw, drop_zeros=True)
     sums = row_sums(matrix)
+    if available is not None:
+        sums = available.sums(sums.reshape(-1, n_actions)).reshape(-1)
     scale = _checks.scale_sums(sums, transitions)
     if (scale != 1.0).any():
         matrix = csr_on_pattern(matrix, matrix.data / repeat_rows(matrix, scale))
         sums = row_sums(matrix)
-    _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions")
+        if available is not None:
+            sums = available.sums(sums.reshape(-1, n_actions)).reshape(-1)
+    _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions", _EMPTY_HINT)
     return CsrArrays.from_matrix(matrix)
 
 
@@ -181,26 +247,74 @@ def _entries_of_transitions(transitions: Any) -> Entries | None:
     return entries_of(transitions, "transitions")
 
 
+def check_available(value: object, states: object, actions: object) -> Available:
+    """Check which actions can be taken, at least one in each state.
+
+    ``states`` and ``actions`` are names as they were given, for errors alone.
+    """
+    array = _checks.as_array(value, "available")
+    if array.ndim != 2 or array.size == 0:
+        raise ArgumentError(
+            "available",
+            "must have shape (S, A), a row for each state and a column for each action;"
+            f" it has shape {array.shape}",
+        )
+    # masks of environments are integers
+    if array.dtype.kind in "iu":
+        bad = np.argwhere((array != 0) & (array != 1))
+        if len(bad):
+            raise ArgumentError(
+                _checks.place("available", tuple(bad[0])),
+                f"must be True or False; it is {array[tuple(bad[0])]}",
+            )
+    elif array.dtype.kind != "b":
+        raise ArgumentError(
+            "available", f"must be True or False; its entries are {array.dtype}"
+        )
+    mask = array.astype(np.bool_)
+    names = Names(
+        valid_names(states, mask.shape[0]), valid_names(actions, mask.shape[1])
+    )
+    lacking = np.flatnonzero(~mask.any(axis=1))
+    if lacking.size:
+        more = f" ({lacking.size} such states in all)" if lacking.size > 1 else ""
+        raise ArgumentError(
+            f"available[{lacking[0]}]",
+            f"must have an action that can be taken; state {names.state(lacking[0])} has"
+            f" none{more} (a terminal state: an action that leads back to it with reward"
+            " 0)",
+        )
+    return Available(freeze(mask), names)
+
+
 def check_rewards(
-    rewards: Any, csr: CsrArrays, n_actions: int, transitions: object = None
+    rewards: Any,
+    csr: CsrArrays,
+    n_actions: int,
+    transitions: object = None,
+    available: BoolArray | None = None,
 ) -> tuple[Array, Array | None, Array | Csr | None]:
     """Check rewards and return r(s, a), r(s, a, s') on the entries of P, and its table.
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s'). In the table a nan, or no entry, means
     undefined; the last two are None where rewards do not depend on s'. ``transitions``
     are those that P was made of, whose repeated entries average those of the rewards.
+    Rewards of actions that are not ``available`` are ignored: 0, or undefined.
     """
     n_states = csr.shape[1]
     table: Any
     if is_matrix_list(rewards):
         rewards = stack_actions(rewards, "rewards")
     if _checks.is_sparse(rewards):
-        given = _check_sparse_rewards(rewards, csr, n_actions, transitions)
+        given = _check_sparse_rewards(rewards, csr, n_actions, transitions, available)
         table, data = align_to(given, csr)
     else:
-        table = _check_dense_rewards(rewards, n_states, n_actions)
+        table = _check_dense_rewards(rewards, n_states, n_actions, available)
         if table.ndim == 1:
-            return freeze(np.repeat(table[:, None], n_actions, axis=1)), None, None
+            repeated = np.repeat(table[:, None], n_actions, axis=1)
+            if available is not None:
+                repeated[~available] = 0.0
+            return freeze(repeated), None, None
         if table.ndim == 2:
             return table, None, None
         data = _rewards_on_entries(table, csr, n_actions)
@@ -208,7 +322,9 @@ def check_rewards(
     return freeze(expected), data, table
 
 
-def _check_dense_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
+def _check_dense_rewards(
+    rewards: Any, n_states: int, n_actions: int, available: BoolArray | None = None
+) -> Array:
     """Check dense rewards and return them as a read-only array of 1, 2 or 3 dimensions.
 
     One of 3 dimensions may have nan.
@@ -221,6 +337,10 @@ def _check_dense_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
         raise ArgumentError(
             "rewards", f"must have shape {shape}; it has shape {array.shape}"
         )
+    if available is not None and array.ndim == 2:
+        array = freeze(np.where(available, array, 0.0))
+    elif available is not None and array.ndim == 3:
+        array = freeze(np.where(available[:, :, None], array, np.nan))
     if array.ndim < 3:
         _checks.require_finite(array, "rewards")
     elif np.isinf(array).any():
@@ -247,7 +367,11 @@ def _rewards_on_entries(array: Array, csr: CsrArrays, n_actions: int) -> Array:
 
 
 def _check_sparse_rewards(
-    rewards: Any, csr: CsrArrays, n_actions: int, transitions: object
+    rewards: Any,
+    csr: CsrArrays,
+    n_actions: int,
+    transitions: object,
+    available: BoolArray | None = None,
 ) -> Csr:
     """Check sparse rewards and add a 0 wherever P has an entry and they have none."""
     if rewards.shape != csr.shape:
@@ -258,6 +382,8 @@ def _check_sparse_rewards(
     given = check_values(
         rewards, "rewards", lambda: _entries_of_transitions(transitions)
     )
+    if available is not None:
+        given = _drop_rows(given, ~available.reshape(-1))
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_transition(given, int(bad[0]), n_actions)
@@ -271,6 +397,17 @@ def _check_sparse_rewards(
     columns = np.concatenate([given.indices, csr.indices[absent]])
     data = np.pad(given.data, (0, len(rows) - given.nnz))
     return csr_from_entries(rows, columns, data, csr.shape)
+
+
+def _drop_rows(matrix: Csr, is_dropped: BoolArray) -> Csr:
+    """Return a matrix without the entries of some rows."""
+    row = row_of_entry(matrix)
+    kept = ~is_dropped[row]
+    if kept.all():
+        return matrix
+    return csr_from_entries(
+        row[kept], matrix.indices[kept], matrix.data[kept], matrix.shape
+    )
 
 
 def check_terminal_state(value: object, n_states: int) -> IntArray:

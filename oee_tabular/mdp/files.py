@@ -37,6 +37,7 @@ def file_arrays(mdp: FiniteMDP, layout: object) -> dict[str, Any]:
         "sampling_starts": starts,
         "state_names": mdp.state_names and to_text(mdp.state_names),
         "action_names": mdp.action_names and to_text(mdp.action_names),
+        "available": None if mdp.has_all_actions else mdp.available,
     }
     tables = {
         "transitions": mdp.csr,
@@ -79,6 +80,7 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
         "terminal_state": arrays["terminal_state"],
         "layout": arrays.get("layout"),
         "sampling": None,
+        "available": arrays.get("available"),
     }
     if "sampling_pairs" in arrays:
         arguments["sampling"] = _read_sampling(arrays, shape)

@@ -19,7 +19,9 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import align, align_to, row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import (
+    Available,
     CsrArrays,
+    check_available,
     check_layout,
     check_rewards,
     check_terminal_state,
@@ -113,6 +115,10 @@ class FiniteMDP:
         The numbers of samples that the probabilities and rewards were estimated from
         (``mdp.empirical.Sampling``). ``from_log`` and ``from_env`` set it, and
         intervals are wider for it. None means that the model is known exactly.
+    available : array_like of bool of shape (S, A), optional
+        Which actions can be taken in each state, at least one in each. Where one
+        cannot, its row of ``transitions`` is empty (zeros) and its reward is ignored;
+        a policy or a log that takes it is an error. None means all of them.
 
     Attributes
     ----------
@@ -148,6 +154,10 @@ class FiniteMDP:
         The names of the actions.
     sampling : Sampling, or None
         The sample sizes that the model rests on.
+    available : ndarray of bool of shape (S, A)
+        Which actions can be taken in each state.
+    has_all_actions : bool
+        Whether all actions can be taken in all states.
 
     Raises
     ------
@@ -166,6 +176,13 @@ class FiniteMDP:
     >>> mdp = FiniteMDP(P, np.array([1.0, 0.0]), np.array([1.0, 0.0]), 0.9)
     >>> mdp
     FiniteMDP(2 states, 2 actions, 6 transitions, rewards r(s, a), discount 0.9)
+
+    In state 1 only the second action can be taken:
+
+    >>> P[1, 0] = 0.0
+    >>> can = [[True, True], [False, True]]
+    >>> FiniteMDP(P, [1.0, 0.0], [1.0, 0.0], 0.9, available=can).csr.nnz
+    5
     """
 
     n_states: int
@@ -180,9 +197,11 @@ class FiniteMDP:
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
+    has_all_actions: bool
     # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined; None for r(s, a)
     _reward_table: Array | Csr | None
     _own_layout: Array | None  # as given, without the names' coordinates
+    _available: BoolArray | None  # None where all actions can be taken
 
     def __init__(
         self,
@@ -196,9 +215,17 @@ class FiniteMDP:
         state_names: NamesLike | None = None,
         action_names: NamesLike | None = None,
         sampling: Sampling | None = None,
+        available: IntArrayLike | None = None,
     ) -> None:
-        csr, n_states, n_actions = check_transitions(transitions)
-        expected, data, table = check_rewards(rewards, csr, n_actions, transitions)
+        checked: Available | None = None
+        mask: BoolArray | None = None
+        if available is not None:
+            checked = check_available(available, state_names, action_names)
+            mask = None if checked.mask.all() else checked.mask
+        csr, n_states, n_actions = check_transitions(transitions, checked)
+        expected, data, table = check_rewards(
+            rewards, csr, n_actions, transitions, mask
+        )
         states = None
         if state_names is not None:
             states = check_names(state_names, "state_names", n_states)
@@ -229,6 +256,8 @@ class FiniteMDP:
             sampling=sampling,
             _reward_table=table,
             _own_layout=own,
+            has_all_actions=mask is None,
+            _available=mask,
         )
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -243,8 +272,9 @@ class FiniteMDP:
         return partial(type(self), **self._arguments()), ()
 
     def __repr__(self) -> str:
+        pairs = "" if self.has_all_actions else f" ({self._available_pairs} pairs)"
         sizes = (
-            f"{self.n_states} states, {self.n_actions} actions, {self.csr.nnz}"
+            f"{self.n_states} states, {self.n_actions} actions{pairs}, {self.csr.nnz}"
             " transitions"
         )
         return (
@@ -255,6 +285,8 @@ class FiniteMDP:
     def _repr_html_(self) -> str:
         """Return the summary as HTML, which notebooks show."""
         values = self.rewards if self.reward_data is None else self.reward_data
+        if self._available is not None and self.reward_data is None:
+            values = values[self._available]
         # adding 0.0 makes -0.0 plain
         span = f"{values.min() + 0.0:.4g} to {values.max() + 0.0:.4g}"
         rows = [
@@ -266,12 +298,26 @@ class FiniteMDP:
             ("first states", int((self.initial > 0).sum())),
             ("terminal states", int(self.absorbing().sum())),
         ]
+        if not self.has_all_actions:
+            rows.insert(2, ("available pairs", self._available_pairs))
         return _printing.facts("FiniteMDP: rewards in units of the return", rows)
 
     @property
     def _reward_form(self) -> str:
         """Return what the rewards depend on, "r(s, a)" or "r(s, a, s')"."""
         return "r(s, a)" if self.reward_data is None else "r(s, a, s')"
+
+    @property
+    def _available_pairs(self) -> str:
+        """Return how many pairs can be taken, "5 of 6"."""
+        return f"{np.count_nonzero(self.available)} of {self.rewards.size}"
+
+    @cached_property
+    def available(self) -> BoolArray:
+        """Return which actions can be taken in each state, a read-only (S, A) array."""
+        if self._available is not None:
+            return self._available
+        return np.broadcast_to(np.True_, self.rewards.shape)
 
     @cached_property
     def transitions(self) -> Csr:
@@ -317,7 +363,7 @@ class FiniteMDP:
         Returns
         -------
         ndarray of bool of shape (S,)
-            True for closed states, P(s | s, a) = 1 for each a.
+            True for closed states, P(s | s, a) = 1 for each a that can be taken.
         """
         state = row_of_entry(self.csr) // self.n_actions
         leaves = np.zeros(self.n_states, dtype=np.bool_)
@@ -332,7 +378,8 @@ class FiniteMDP:
         Parameters
         ----------
         new : array_like of shape (S, A, S), or sparse of shape (S*A, S)
-            The new probabilities, in any of the constructor's forms.
+            The new probabilities, in any of the constructor's forms; zeros where an
+            action cannot be taken.
 
         Returns
         -------
@@ -345,8 +392,11 @@ class FiniteMDP:
             If ``new`` is for other numbers of states or actions, or has a transition
             for which r(s, a, s') is not defined.
         """
+        available = None
+        if self._available is not None:
+            available = Available(self._available, self.names)
         try:
-            csr, n_states, n_actions = check_transitions(new)
+            csr, n_states, n_actions = check_transitions(new, available)
         except ArgumentError as error:
             raise ArgumentError(f"new {error.argument}", error.rule) from None
         if (n_states, n_actions) != self.rewards.shape:
@@ -480,8 +530,8 @@ class FiniteMDP:
 
         Notes
         -----
-        P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), and the
-        rewards are those of the action that was carried out: r_eps(s, a, s') = E[r(s,
+        P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), b among the
+        actions that can be taken in s, and the rewards are those of the action that was carried out: r_eps(s, a, s') = E[r(s,
         b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards do not
         depend on s'. A state's value under (P_eps, policy) is its value under (P, (1 -
         eps) policy + eps uniform).
@@ -583,7 +633,9 @@ class FiniteMDP:
 
     @classmethod
     @suggest_keywords
-    def from_gymnasium(cls, env: Env[Any, Any], discount: float = 0.99) -> Self:
+    def from_gymnasium(
+        cls, env: Env[Any, Any], discount: float = 0.99, *, masked: bool = False
+    ) -> Self:
         """Read the MDP of a Gymnasium environment that has a table of its transitions.
 
         Such are the toy-text environments with ``env.unwrapped.P`` (FrozenLake,
@@ -595,6 +647,9 @@ class FiniteMDP:
             The environment; it is not stepped.
         discount : float, default 0.99
             The discount gamma in [0, 1].
+        masked : bool, default False
+            Whether only the actions can be taken that ``env.unwrapped.action_mask``
+            allows in each state. Otherwise all can that have outcomes in the table.
 
         Returns
         -------
@@ -606,9 +661,9 @@ class FiniteMDP:
         ValueError
             If there is no such table (Blackjack), if the dynamics are not in it (a
             fickle Taxi passenger, a wrapper that changes actions, observations or
-            rewards), or if the table lacks an action, or has probabilities that do not
-            sum to 1, states outside it, or rewards that are no numbers: the error names
-            the entry, ``env.P[3][1][0]``.
+            rewards), or if the table has a state without actions, an action without a
+            state, probabilities that do not sum to 1, states outside it, or rewards
+            that are no numbers: the error names the entry, ``env.P[3][1][0]``.
 
         See Also
         --------
@@ -625,8 +680,21 @@ class FiniteMDP:
         an environment on a map (``desc`` or ``shape``, a cell for each state)
         ``layout`` has row and column. Names are the environment's ``state_names``,
         ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
+
+        An action that is no key of ``P[s]``, or has no outcomes there, cannot be taken
+        in s (``available``). All actions of a terminal state can.
+
+        Examples
+        --------
+        Taxi's masks leave out what would change nothing, such as driving into a wall:
+
+        >>> from oee_tabular.tasks import make_environment
+        >>> taxi = FiniteMDP.from_gymnasium(make_environment("Taxi-v4"), masked=True)
+        >>> taxi.available[0].tolist()  # south, north, east, west, pick up, drop off
+        [True, False, True, False, True, False]
         """
-        return cls(**read_table(env), discount=discount)
+        allow = _checks.boolean(masked, "masked")
+        return cls(**read_table(env, masked=allow), discount=discount)
 
     @classmethod
     @suggest_keywords
@@ -642,6 +710,7 @@ class FiniteMDP:
         state_names: NamesLike | None = None,
         action_names: NamesLike | None = None,
         layout: RealArrayLike | None = None,
+        available: IntArrayLike | None = None,
     ) -> Self:
         """Estimate the MDP of a log's frequencies: a simulator from its own log.
 
@@ -671,6 +740,9 @@ class FiniteMDP:
             log's.
         layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
             The coordinates of the states, as in the constructor.
+        available : array_like of bool of shape (S, A), optional
+            Which actions can be taken in each state, S the log's own states. None means
+            all of them.
 
         Returns
         -------
@@ -690,8 +762,8 @@ class FiniteMDP:
 
         Notes
         -----
-        P(s' | s, a) = n(s, a, s') / n(s, a). An action never recorded in a state gets
-        the mean distribution of those recorded there, weighted by their counts; a state
+        P(s' | s, a) = n(s, a, s') / n(s, a). An action that can be taken in a state but
+        was never recorded there gets the mean distribution of those recorded there, weighted by their counts; a state
         without recorded actions is absorbing with reward 0. A warning says how many
         such pairs there are. States in which transitions terminated are terminal, as in
         ``from_gymnasium``.
@@ -709,7 +781,7 @@ class FiniteMDP:
         sizes = (n_states, n_actions)
         names = (state_names, action_names)
         return cls(
-            **log_arguments(log, rewards, initial, sizes, names, layout),
+            **log_arguments(log, rewards, initial, sizes, names, layout, available),
             discount=discount,
         )
 
@@ -725,6 +797,7 @@ class FiniteMDP:
         max_steps: int = 1_000_000,
         state_names: NamesLike | None = None,
         action_names: NamesLike | None = None,
+        masked: bool = True,
     ) -> Self:
         """Estimate the MDP of a Gymnasium environment that can only be stepped.
 
@@ -750,6 +823,9 @@ class FiniteMDP:
             observed.
         action_names : sequence of A str or tuple, optional
             The names of the actions.
+        masked : bool, default True
+            Whether only the actions are taken that ``info["action_mask"]`` allows,
+            where reset and step give one; others cannot be taken (``available``).
 
         Returns
         -------
@@ -762,8 +838,9 @@ class FiniteMDP:
         ValueError
             If observations or actions are continuous, if an argument breaks its rule,
             or if the environment raises an error or returns what is no step (old Gym's
-            four values, a reward that is no number, an observation outside its space):
-            the error names the action, the state and what was returned.
+            four values, a reward that is no number, an observation outside its space, a
+            mask that allows no action or is not always the same in a state): the error
+            names the action, the state and what was returned.
 
         See Also
         --------
@@ -796,8 +873,9 @@ class FiniteMDP:
         # by name and on use, because what steps an environment is an agent, in a room
         # above this one
         exploring = importlib.import_module("oee_tabular.tasks.exploring")
+        allow = _checks.boolean(masked, "masked")
         samples = exploring.explore_environment(
-            env, samples_per_pair, seed, max_steps, names
+            env, samples_per_pair, seed, max_steps, names, masked=allow
         )
         return cls(**frequency_arguments(samples), discount=gamma)
 
@@ -816,6 +894,7 @@ class FiniteMDP:
             "transitions": self.csr,
             "rewards": table,
             "layout": self._own_layout,
+            "available": self._available,
         }
         return arguments | {name: getattr(self, name) for name in same}
 

@@ -123,6 +123,14 @@ def check_names(
     return names
 
 
+def valid_names(given: object, size: int) -> tuple[Name, ...] | None:
+    """Return ``given`` as names, or None where they break a rule."""
+    try:
+        return None if given is None else check_names(given, "names", size)
+    except ValueError:
+        return None
+
+
 def normalize(text: str) -> str:
     """Return a text in Unicode's composed form (NFC).
 

@@ -124,7 +124,9 @@ def check_policy(
     if is_float_array and given.shape in shapes:
         array = np.array(given, order="C")
         if _are_distributions(array):
-            return array
+            if has_all_actions(mdp):
+                return array
+            return require_available(array, mdp, name)
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         given = policy_table(policy, mdp, name)
     array = _checks.float_array(given, name)
@@ -133,10 +135,31 @@ def check_policy(
     _require_policy_shape(array, (n_states, n_own), n_actions, horizon, name)
     array = _check_distributions(array, given, name)
     if array.shape[-2] < n_states:
-        twins = np.full(
-            (*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions
-        )
+        rows = uniform_policy(mdp)[n_own:]
+        twins = np.broadcast_to(rows, (*array.shape[:-2], *rows.shape))
         array = np.concatenate([array, twins], axis=-2)
+    return require_available(array, mdp, name)
+
+
+def require_available(array: Array, mdp: Sized, name: str) -> Array:
+    """Return (..., S, A) probabilities, 0 where an action cannot be taken.
+
+    Another one is an ArgumentError that names state and action.
+    """
+    if has_all_actions(mdp):
+        return array
+    bad = np.argwhere((array > 0.0) & ~mdp.available)  # type: ignore[attr-defined]
+    if len(bad):
+        first = tuple(bad[0])
+        names = names_of(mdp)
+        state, action = first[-2:]
+        more = f" ({len(bad)} such probabilities in all)" if len(bad) > 1 else ""
+        raise ArgumentError(
+            _checks.place(name, first),
+            f"must be 0, for action {names.action(action)} cannot be taken in state"
+            f" {names.state(state)}; it is {array[first]:g}{more} (mdp.available says"
+            " which actions can: give the probability to these)",
+        )
     return array
 
 
@@ -252,7 +275,7 @@ def _is_list_of_policies(policies: Any, mdp: Sized) -> bool:
 
 
 def uniform_policy(mdp: Sized) -> Array:
-    """Return the policy that takes each action with probability 1/A.
+    """Return the policy that takes all actions of a state equally often.
 
     Parameters
     ----------
@@ -262,7 +285,8 @@ def uniform_policy(mdp: Sized) -> Array:
     Returns
     -------
     ndarray of shape (S, A)
-        The probabilities, all of them 1/A.
+        The probabilities: 1/A, or 1 over the number of actions that can be taken in the
+        state, and 0 for the others (``mdp.available``).
 
     Examples
     --------
@@ -271,7 +295,10 @@ def uniform_policy(mdp: Sized) -> Array:
     [0.25, 0.25, 0.25, 0.25]
     """
     require_sized(mdp)
-    return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
+    if has_all_actions(mdp):
+        return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
+    available: BoolArray = mdp.available  # type: ignore[attr-defined]
+    return np.asarray(available / available.sum(axis=1, keepdims=True))
 
 
 def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") -> Array:
@@ -361,6 +388,12 @@ def read_policy_array(path: str, name: str) -> Array:
     return arrays.get("policy", next(iter(arrays.values())))
 
 
+def has_all_actions(mdp: object) -> bool:
+    """Say whether each action can be taken in each state of a model."""
+    has: bool = getattr(mdp, "has_all_actions", True)
+    return has
+
+
 def require_sized(mdp: object) -> None:
     """Raise an ArgumentError for what has no states and actions."""
     sizes = ("n_states", "n_actions", "terminal_state")
@@ -448,7 +481,7 @@ def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
             "must have every state that is not terminal; state"
             f" {names.state(missing[0])} is not there{more}",
         )
-    return np.where(np.isnan(table), 1.0 / mdp.n_actions, table)
+    return np.where(np.isnan(table), uniform_policy(mdp), table)
 
 
 def _list_choices(

@@ -19,7 +19,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
 from oee_tabular.mdp.logs import LogLike, require_log
-from oee_tabular.typing import Array, Csr, IntArray, SparseLike
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, SparseLike
 
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
@@ -34,9 +34,11 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     noise = sparse.kron(
         sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
     )
-    mixing = sparse.csr_array(
-        (1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise
-    )
+    same = sparse.eye_array(n_states * n_actions)
+    if not mdp.has_all_actions:
+        noise = mean_available(mdp.available)
+        same = sparse.diags_array(mdp.available.reshape(-1).astype(np.float64))
+    mixing = sparse.csr_array((1.0 - eps) * same + eps * noise)
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
     expected = mixing @ mdp.rewards.reshape(-1)
     rewards: Array | Csr = expected.reshape(mdp.rewards.shape)
@@ -48,9 +50,23 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     sampling = mdp.sampling
     if sampling is not None:
         # each pair rests on the least sampled action of its state
-        least = sampling.pairs.reshape(-1, n_actions).min(axis=1)
-        sampling = sampling._replace(pairs=np.repeat(least, n_actions))
+        pairs = sampling.pairs.reshape(-1, n_actions)
+        least = pairs.min(axis=1, where=mdp.available, initial=np.inf)
+        number = np.where(mdp.available, least[:, None], pairs)
+        sampling = sampling._replace(pairs=number.reshape(-1))
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
+
+
+def mean_available(available: BoolArray) -> Any:
+    """Return the matrix (S*A, S*A) that takes each row to the mean row of its state.
+
+    The rows of actions that cannot be taken are neither averaged nor made.
+    """
+    n_states, n_actions = available.shape
+    kept = sparse.diags_array(available.reshape(-1).astype(np.float64))
+    shares = available / available.sum(axis=1, keepdims=True)
+    among = sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, n_actions)))
+    return kept @ among @ sparse.diags_array(shares.reshape(-1))
 
 
 def add_support(
@@ -62,6 +78,7 @@ def add_support(
     """
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _read_transitions(mdp, log)
+    require_available_rows(mdp, rows, "log")
     matrix = mdp.transitions
     observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
     is_impossible = align(matrix, observed)[0] < MIN_PROBABILITY
@@ -87,6 +104,48 @@ def add_support(
         matrix.shape,
     )
     return {"transitions": new, "rewards": rewards}
+
+
+def require_available_rows(
+    mdp: FiniteMDP, rows: IntArray, name: str, *, by_row: bool = False
+) -> None:
+    """Raise an ArgumentError where rows s*A + a are of actions that cannot be taken.
+
+    ``rows`` are those of the transitions of ``name``, in its order, or ``by_row`` some
+    of its own rows.
+    """
+    if mdp.has_all_actions:
+        return
+    bad = np.flatnonzero(~mdp.available.reshape(-1)[rows])
+    if bad.size:
+        state, action = divmod(int(rows[bad[0]]), mdp.n_actions)
+        more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        place = int(rows[bad[0]] if by_row else bad[0])
+        raise ArgumentError(
+            f"{name}[{place}]",
+            "must have an action that can be taken in its state; in state"
+            f" {mdp.names.state(state)} action {mdp.names.action(action)} cannot be"
+            f" taken, and is{more} (if the target can, set available[{state}, {action}]"
+            " = True and give the row of transitions; if not, leave it out)",
+        )
+
+
+def require_same_available(target: FiniteMDP, simulator: FiniteMDP) -> None:
+    """Raise an ArgumentError unless the same actions can be taken in both MDPs."""
+    if target.has_all_actions and simulator.has_all_actions:
+        return
+    bad = np.argwhere(target.available != simulator.available)
+    if len(bad):
+        state, action = bad[0]
+        whose = "simulator" if target.available[state, action] else "target"
+        more = f" ({len(bad)} such pairs in all)" if len(bad) > 1 else ""
+        raise ArgumentError(
+            "target",
+            "must have the simulator's available actions; in state"
+            f" {simulator.names.state(state)} action {simulator.names.action(action)}"
+            f" cannot be taken in the {whose}, but in the other{more} (make both with"
+            " the same available=)",
+        )
 
 
 def _added_rewards(
