@@ -305,9 +305,7 @@ def check_rewards(
     if is_matrix_list(rewards):
         rewards = stack_actions(rewards, "rewards")
     if _checks.is_sparse(rewards):
-        given = _check_sparse_rewards(
-            rewards, csr, n_actions, transitions, available
-        )
+        given = _check_sparse_rewards(rewards, csr, n_actions, transitions, available)
         table, data = align_to(given, csr)
     else:
         table = _check_dense_rewards(rewards, n_states, n_actions, available)
