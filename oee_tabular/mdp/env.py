@@ -64,7 +64,7 @@ class FiniteMDPEnv(gymnasium.Env[int, int]):
         The number of steps after which an episode is truncated. None means never.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["ansi"]}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["ansi"], "render_fps": 4}
 
     def __init__(self, mdp: FiniteMDP, *, max_steps: int | None = None) -> None:
         _checks.instance(mdp, FiniteMDP, "mdp")
