@@ -5,7 +5,7 @@ Gymnasium is imported when ``FiniteMDP.to_env`` is called, not before.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -51,7 +51,7 @@ class AvailableActions(spaces.Discrete):
         return super().sample(mask=mask, probability=probability)
 
 
-class FiniteMDPEnv(gymnasium.Env[int, int]):
+class FiniteMDPEnv(gymnasium.Env[Any, Any]):
     """Step an MDP: observations are the numbers of states, actions those of actions.
 
     ``FiniteMDP.to_env`` makes it, and explains it.
@@ -64,17 +64,17 @@ class FiniteMDPEnv(gymnasium.Env[int, int]):
         The number of steps after which an episode is truncated. None means never.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["ansi"], "render_fps": 4}
-
     def __init__(self, mdp: FiniteMDP, *, max_steps: int | None = None) -> None:
         _checks.instance(mdp, FiniteMDP, "mdp")
         if max_steps is not None:
             max_steps = _checks.positive_integer(max_steps, "max_steps")
         self.mdp = mdp
         self.max_steps = max_steps
+        self.metadata = {"render_modes": ["ansi"], "render_fps": 4}
         self.render_mode = "ansi"
         self.observation_space = spaces.Discrete(mdp.n_states)
-        self.action_space = AvailableActions(mdp.n_actions)
+        self._actions = AvailableActions(mdp.n_actions)
+        self.action_space = self._actions
         self._is_terminal = mdp.absorbing()
         self._first_states = np.flatnonzero(mdp.initial)
         self._state: int | None = None
@@ -192,7 +192,7 @@ class FiniteMDPEnv(gymnasium.Env[int, int]):
                 f" {_checks.show(action)}",
             )
         number = int(action)
-        mask = self.action_space.mask
+        mask = self._actions.mask
         if not mask[number]:
             names = self.mdp.names
             available = ", ".join(names.action(int(a)) for a in np.flatnonzero(mask))
@@ -215,7 +215,7 @@ class FiniteMDPEnv(gymnasium.Env[int, int]):
         state = self._state
         assert state is not None
         mask = self.mdp.available[state]
-        self.action_space.mask = mask
+        self._actions.mask = mask
         info: dict[str, Any] = {"action_mask": mask.astype(np.int8)}
         if self.mdp.state_names is not None:
             info["state_name"] = self.mdp.state_names[state]
