@@ -132,6 +132,7 @@ SUBJECTS = {
             "gridworld",
             "gridworld_expert",
             "gridworld_policy",
+            "recycling_robot",
             "toy_text",
             "make_environment",
             "record_episodes",

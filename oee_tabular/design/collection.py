@@ -221,7 +221,7 @@ def plan_data_collection(
         else:
             solved_by = "interior point"
     elif collection is None:
-        q = np.full(base.size, 1.0 / base.size)
+        q = mdp.available.reshape(-1) / np.count_nonzero(mdp.available)
     else:
         q = occupancy(collection, uniform_policy(collection)).reshape(-1)
     now = sum_variances(costs, base, np.zeros_like(base))
@@ -246,7 +246,7 @@ def plan_data_collection(
         n=number,
         confidence=level,
         distribution=q.reshape(shape),
-        behavior_policy=behavior_of(q, shape),
+        behavior_policy=behavior_of(q, mdp),
         policies=outlooks,
         gap=gap,
         next_pairs=next_pairs(

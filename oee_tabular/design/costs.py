@@ -18,7 +18,7 @@ from oee_tabular._sparse import (
     row_variances,
 )
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP, mean_available, reduce_rows
 from oee_tabular.ratio.dual import Box
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
@@ -48,7 +48,7 @@ def row_costs(
     optimistic rows (S*A,) have the largest plausible variance. ``counts`` (S*A,) are
     the log's. Cost: one policy evaluation and one occupancy for each policy.
     """
-    largest = np.maximum.reduceat(model.transitions.data, model.transitions.indptr[:-1])
+    largest = reduce_rows(np.maximum, model.transitions.data, model.transitions.indptr)
     is_terminal = np.repeat(simulator.closed(), simulator.n_actions)
     is_deterministic = largest >= MIN_CERTAIN_PROBABILITY
     certain = is_deterministic & ~is_terminal & optimistic
@@ -117,6 +117,8 @@ def _add_reference_entries(
     every_action = sparse.kron(
         sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
     )
+    if not simulator.has_all_actions:
+        every_action = mean_available(simulator.available)
     any_action = canonical(chosen @ every_action, drop_zeros=True)
     mean = canonical(any_action @ matrix, drop_zeros=False)
     stay = chosen @ sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, 1)))
@@ -136,6 +138,7 @@ def _add_reference_entries(
         model.initial,
         model.discount,
         model.terminal_state,
+        mask=None if simulator.has_all_actions else simulator.available,
     )
     return wider, align(canonical(reference, drop_zeros=True), pattern)[0]
 

@@ -100,7 +100,7 @@ def collection_mdp(
     is_end = model.closed() if ends is None else ends
     start = sparse.csr_array(model.initial[None, :])
     if restart_costs_a_move:
-        to_start = np.repeat(is_end, model.n_actions).astype(np.float64)
+        to_start = (is_end[:, None] & model.available).reshape(-1).astype(np.float64)
         matrix = sparse.diags_array(1.0 - to_start) @ matrix
     else:
         to_start = np.asarray(matrix @ is_end.astype(np.float64))
@@ -109,16 +109,20 @@ def collection_mdp(
         matrix + sparse.csr_array(to_start[:, None]) @ start, drop_zeros=True
     )
     return FiniteMDP(
-        transitions, np.zeros(model.n_states), model.initial, 1.0 - restart
+        transitions,
+        np.zeros(model.n_states),
+        model.initial,
+        1.0 - restart,
+        available=None if model.has_all_actions else model.available,
     )
 
 
-def behavior_of(q: Array, shape: tuple[int, int]) -> Array:
+def behavior_of(q: Array, mdp: FiniteMDP) -> Array:
     """Return q as a policy (S, A), uniform in states that q never visits."""
-    table = q.reshape(shape)
+    table = q.reshape(mdp.rewards.shape)
     total = table.sum(axis=1, keepdims=True)
     shares = table / np.where(total > 0.0, total, 1.0)
-    return np.where(total > 0.0, shares, 1.0 / shape[1])
+    return np.where(total > 0.0, shares, uniform_policy(mdp))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,10 +186,8 @@ class Program:
         """
         kept = np.maximum(q, 0.0)
         if self.collection is not None:
-            shape = (self.collection.n_states, self.collection.n_actions)
-            return np.asarray(
-                occupancy(self.collection, behavior_of(kept, shape)).reshape(-1)
-            )
+            behavior = behavior_of(kept, self.collection)
+            return np.asarray(occupancy(self.collection, behavior).reshape(-1))
         kept = np.where(self.costs.max(axis=0) > 0.0, kept, 0.0)
         return np.asarray(kept / kept.sum())
 

@@ -14,7 +14,12 @@ from oee_tabular.estimators.findings import WEIGHTLESS, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import largest_reward
 from oee_tabular.exceptions import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    optional_horizon_length,
+    require_available,
+)
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike, Seed
@@ -128,14 +133,12 @@ class TabularEstimator:
             outside the simulator's support where there are data.
         """
         require_pair(target, simulator)
-        share = np.full(
-            (simulator.n_states, simulator.n_actions),
-            1.0 / simulator.transitions.shape[0],
-        )
+        share = simulator.available / np.count_nonzero(simulator.available)
         if data_distribution is not None:
             share = _checks.distribution(
                 data_distribution, "data_distribution", share.shape
             )
+            require_available(share, simulator, "data_distribution")
         support = share.reshape(-1) > 0
         keep = sparse.diags_array(support.astype(np.float64), format="csr")
         refuse_unsupported(

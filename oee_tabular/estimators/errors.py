@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from oee_tabular._sparse import row_variances
 from oee_tabular.exact import exponent
+from oee_tabular.mdp import reduce_rows
 from oee_tabular.typing import Array, Csr
 
 
@@ -70,10 +71,8 @@ def error_or_none(
     did not vary. ``gradient`` is the value's, on the entries of the simulator's rows,
     which begin at ``indptr``.
     """
-    starts = indptr[:-1]
-    reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(
-        gradient, starts
-    )
+    reach = reduce_rows(np.maximum, gradient, indptr)
+    reach -= reduce_rows(np.minimum, gradient, indptr)
     possible = float(reach.max())
     matters = possible > ROUNDING * float(np.abs(gradient).max())
     return None if matters and error <= ROUNDING * possible else error

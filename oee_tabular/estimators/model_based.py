@@ -206,7 +206,7 @@ class ModelBased(TabularEstimator):
         if self.fallback == "zero":
             return _end_elsewhere(base, rows)
         size = rows.shape[0]
-        empty = np.flatnonzero(row_sums(rows) == 0)
+        empty = np.flatnonzero((row_sums(rows) == 0) & base.available.reshape(-1))
         ones = np.ones(len(empty))
         if self.fallback == "simulator":
             chosen = sparse.csr_array((ones, (empty, empty)), shape=(size, size))
@@ -234,6 +234,7 @@ class ModelBased(TabularEstimator):
             layout=base.layout,
             state_names=base.state_names,
             action_names=base.action_names,
+            available=None if base.has_all_actions else base.available,
         )
 
 
@@ -243,7 +244,8 @@ def _end_elsewhere(base: FiniteMDP, rows: Csr) -> FiniteMDP:
     Nothing is paid on the way to it, nor in it.
     """
     n = base.n_states
-    recorded = row_sums(rows) > 0
+    # rows of actions that cannot be taken stay empty
+    recorded = (row_sums(rows) > 0) | ~base.available.reshape(-1)
     size = len(recorded) + base.n_actions
     ends = np.flatnonzero(np.append(~recorded, np.ones(base.n_actions, dtype=bool)))
     matrix = csr_from_entries(
@@ -270,4 +272,5 @@ def _end_elsewhere(base: FiniteMDP, rows: Csr) -> FiniteMDP:
         np.append(base.initial, 0.0),
         base.discount,
         terminal_state=base.terminal_state,
+        available=np.pad(base.available, ((0, 1), (0, 0)), constant_values=True),
     )

@@ -25,7 +25,12 @@ from oee_tabular.estimators.rewards import (
 )
 from oee_tabular.estimators.starts import StartConflict, find_start_conflict
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
+from oee_tabular.mdp import (
+    FiniteMDP,
+    check_policy,
+    optional_horizon_length,
+    require_available_rows,
+)
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
@@ -212,6 +217,9 @@ class Problem:
         )
         for field, value in zip(dataclasses.fields(self), fields, strict=True):
             object.__setattr__(self, field.name, value)
+        if not simulator.has_all_actions:
+            lost = np.flatnonzero(self._unread)
+            require_available_rows(simulator, lost, "log", by_row=True)
         if counts is None and not may_drop:
             try:
                 refuse_unsupported(self.counts, simulator)
@@ -437,6 +445,9 @@ def settle(log: LogT, simulator: FiniteMDP, name: str) -> LogT:
             if values.max() == size and values.min() >= 1:
                 rule += "; are they numbered from 1? Then subtract 1"
             raise ArgumentError(f"{name}.{column}[{bad[0]}]", rule)
+    if not simulator.has_all_actions:
+        rows = log.state * simulator.n_actions + log.action
+        require_available_rows(simulator, rows, name)
     lead = np.arange(simulator.n_states)
     lead[: len(simulator.terminal_state)] = simulator.terminal_state
     arrival = np.where(log.terminated, lead[log.next_state], log.next_state)

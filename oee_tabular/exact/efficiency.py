@@ -28,7 +28,7 @@ from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length, require_available
 from oee_tabular.typing import Array, PolicyLike, RealArrayLike
 
 
@@ -428,7 +428,8 @@ def _check_share(
     if horizon is None and target.discount == 1.0:
         raise ArgumentError("horizon", "must be given at discount 1")
     shape = (target.n_states, target.n_actions)
-    return _checks.distribution(distribution, name, shape).reshape(-1)
+    share = _checks.distribution(distribution, name, shape)
+    return require_available(share, target, name).reshape(-1)
 
 
 def _divide_and_sum(values: Array, share: Array) -> float:

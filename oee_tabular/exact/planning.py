@@ -20,7 +20,12 @@ from oee_tabular.exact import _system
 from oee_tabular.exact.backup import back_up_pairs
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
-from oee_tabular.exact.values import action_values, finite_values, infinite_values
+from oee_tabular.exact.values import (
+    action_values,
+    drop_unavailable,
+    finite_values,
+    infinite_values,
+)
 from oee_tabular.mdp import FiniteMDP, limit_horizon, uniform_policy
 from oee_tabular.typing import Array, IntArray
 
@@ -101,8 +106,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     # at discount 1 a greedy start may never be absorbed; the uniform policy is absorbed
     # if any policy is
     if mdp.discount == 1.0:
-        q = action_values(mdp, uniform_policy(mdp))
-        actions = drop_unavailable(mdp, q).argmax(axis=1)
+        actions = action_values(mdp, uniform_policy(mdp)).argmax(axis=1)
         values = None
     else:
         n_turns = MAX_TURNS_NARROW if is_narrow(mdp) else MAX_TURNS
@@ -154,11 +158,6 @@ def find_better_actions(
     first = (q >= (best - allowed)[:, None]).argmax(axis=1)
     own = q[np.arange(len(q)), actions]
     return first, np.where(best > own + allowed, first, actions)
-
-
-def drop_unavailable(mdp: FiniteMDP, q: Array) -> Array:
-    """Return Q (S, A), -inf where the action cannot be taken, which no maximum is."""
-    return q if mdp.has_all_actions else np.where(mdp.available, q, -np.inf)
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from oee_tabular._results import checked
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import NAMELESS, CsrArrays, FiniteMDP, Names, name_transition
-from oee_tabular.typing import Array, Csr, IntArray, SparseLike
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, SparseLike
 
 
 @checked()
@@ -49,6 +49,8 @@ class ReweightedModel:
         The simulator's layout of the states.
     names : Names
         The simulator's names of states and actions.
+    mask : ndarray of bool of shape (S, A), or None
+        Which actions can be taken in each state; None means all of them.
 
     Examples
     --------
@@ -72,6 +74,19 @@ class ReweightedModel:
     terminal_state: IntArray
     layout: Array | None = None
     names: Names = NAMELESS
+    mask: BoolArray | None = None
+
+    @property
+    def has_all_actions(self) -> bool:
+        """Return whether all actions can be taken in all states."""
+        return self.mask is None
+
+    @property
+    def available(self) -> BoolArray:
+        """Return which actions can be taken in each state, (S, A)."""
+        if self.mask is None:
+            return np.broadcast_to(np.True_, self.rewards.shape)
+        return self.mask
 
     @property
     def csr(self) -> CsrArrays:
@@ -180,4 +195,5 @@ def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedMo
         terminal_state=mdp.terminal_state,
         layout=mdp.layout,
         names=mdp.names,
+        mask=None if mdp.has_all_actions else mdp.available,
     )

@@ -526,7 +526,7 @@ def action_values(
     Returns
     -------
     ndarray of shape (S, A)
-        The value of each state-action pair.
+        The value of each state-action pair; -inf where the action cannot be taken.
 
     Raises
     ------
@@ -549,7 +549,13 @@ def action_values(
     require_model(mdp)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
-        return back_up_pairs(mdp, state_values(mdp, policy))
+        return drop_unavailable(mdp, back_up_pairs(mdp, state_values(mdp, policy)))
     pi = check_policy(policy, mdp, horizon=steps)
     values = backward.last_values(mdp, pi, steps - 1)
-    return np.asarray(warn_if_not_finite(back_up_pairs(mdp, values)))
+    q = np.asarray(warn_if_not_finite(back_up_pairs(mdp, values)))
+    return drop_unavailable(mdp, q)
+
+
+def drop_unavailable(model: Model, q: Array) -> Array:
+    """Return Q (S, A), -inf where the action cannot be taken: no maximum is there."""
+    return q if model.has_all_actions else np.where(model.available, q, -np.inf)

@@ -20,7 +20,7 @@ from oee_tabular._results import checked
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.robust import anytime_radius, independent_radius
-from oee_tabular.mdp import uniform_policy
+from oee_tabular.mdp import reduce_rows, uniform_policy
 from oee_tabular.typing import Array, IntArray
 
 N_BISECTIONS = 60  # of [0, 1], to more than a double's 53 bits
@@ -187,7 +187,7 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     is_largest = change == rows.spread(rows.largest(change))
     # the first entry of each row that has its largest change
     entries = np.where(is_largest, np.arange(len(change)), len(change))
-    entry = np.minimum.reduceat(entries, rows.indptr[:-1])
+    entry = reduce_rows(np.minimum, entries, rows.indptr).astype(np.int64)
     return RowChanges(
         np.where(tested, np.maximum(least, 0.0), 0.0).reshape(shape),
         np.where(have, 0.5 * rows.sums(change), 0.0).reshape(shape),

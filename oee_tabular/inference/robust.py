@@ -491,6 +491,10 @@ def worst_rows(epsilon, phat, v, order, low, high, indptr, lam, out, spare, abov
     for k in range(len(indptr) - 1):
         start = indptr[k]
         stop = indptr[k + 1]
+        # the row of an action that cannot be taken
+        if start == stop:
+            lam[k], above[k], kl[k] = 0.0, 0.0, 0.0
+            continue
         lam[k], above[k], kl[k] = worst_row(
             epsilon[k], phat, v, order, low, high, start, stop, lam[k], out, spare
         )

@@ -81,7 +81,9 @@ from oee_tabular.mdp.naming import to_text as to_text
 from oee_tabular.mdp.policies import check_policies as check_policies
 from oee_tabular.mdp.policies import check_policy, mix, uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy as deterministic_policy
+from oee_tabular.mdp.policies import has_all_actions as has_all_actions
 from oee_tabular.mdp.policies import read_policy_array as read_policy_array
+from oee_tabular.mdp.policies import require_available as require_available
 from oee_tabular.mdp.policies import shape_of as shape_of
 from oee_tabular.mdp.policies import split_policies as split_policies
 from oee_tabular.mdp.rows import BLOCK as BLOCK
@@ -89,8 +91,11 @@ from oee_tabular.mdp.rows import DIGITS as DIGITS
 from oee_tabular.mdp.rows import Rows as Rows
 from oee_tabular.mdp.rows import displacements
 from oee_tabular.mdp.rows import distinct_rows as distinct_rows
+from oee_tabular.mdp.rows import reduce_rows as reduce_rows
 from oee_tabular.mdp.rows import round_displacements as round_displacements
+from oee_tabular.mdp.support import mean_available as mean_available
 from oee_tabular.mdp.support import require_available_rows as require_available_rows
+from oee_tabular.mdp.support import require_same_available as require_same_available
 
 # what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = ["FiniteMDP", "check_policy", "displacements", "mix", "uniform_policy"]

@@ -19,7 +19,7 @@ from oee_tabular._sparse import (
     stack_actions,
 )
 from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
-from oee_tabular.mdp.arrays import check_layout, csr_from_entries
+from oee_tabular.mdp.arrays import check_available, check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
 from oee_tabular.mdp.logs import LogLike, require_log
 from oee_tabular.mdp.naming import (
@@ -29,7 +29,7 @@ from oee_tabular.mdp.naming import (
     initial_distribution,
     renumber,
 )
-from oee_tabular.typing import Array, Csr, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
 
 class Sampling(NamedTuple):
@@ -66,12 +66,15 @@ class Samples(NamedTuple):
         The names of states and actions, where there are some.
     shape : tuple of int
         The numbers of states and of actions.
+    available : ndarray of bool of shape (S, A), or None
+        Which actions can be taken in each state; None means all of them.
     """
 
     outcomes: Outcomes
     starts: IntArray
     names: Names
     shape: tuple[int, int]
+    available: BoolArray | None = None
 
 
 def log_arguments(
@@ -81,6 +84,7 @@ def log_arguments(
     sizes: tuple[Any, Any],
     names: tuple[Any, Any],
     layout: object,
+    available: object = None,
 ) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP``, without the discount, from a log.
 
@@ -115,8 +119,40 @@ def log_arguments(
         law = _checks.distribution(
             initial_distribution(initial, states, n_states), "initial", (n_states,)
         )
-    samples = Samples(outcomes, starts, Names(states, actions), (n_states, n_actions))
+    called = Names(states, actions)
+    can = None
+    if available is not None:
+        can = _check_available(available, called, (n_states, n_actions), state, action)
+    samples = Samples(outcomes, starts, called, (n_states, n_actions), can)
     return frequency_arguments(samples, initial=law, rewards=rewards, layout=layout)
+
+
+def _check_available(
+    value: object,
+    names: Names,
+    shape: tuple[int, int],
+    state: IntArray,
+    action: IntArray,
+) -> BoolArray:
+    """Check which actions can be taken, and that a log's transitions are of these."""
+    checked = check_available(value, names.states, names.actions)
+    if checked.mask.shape != shape:
+        raise ArgumentError(
+            "available",
+            f"must have shape {shape}, of the log's states and actions; it has shape"
+            f" {checked.mask.shape}",
+        )
+    bad = np.flatnonzero(~checked.mask[state, action])
+    if bad.size:
+        pair = state[bad[0]], action[bad[0]]
+        more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        raise ArgumentError(
+            f"log[{bad[0]}]",
+            "must have an action that can be taken in its state; in state"
+            f" {names.state(pair[0])} action {names.action(pair[1])} cannot be taken,"
+            f" and is{more}: {_checks.place('available', pair)} is False",
+        )
+    return checked.mask
 
 
 def _log_rewards(log: LogLike, rewards: Any) -> Array:
@@ -177,11 +213,12 @@ def frequency_arguments(
     Without ``initial`` the distribution of the first state is how often episodes began
     in each; without ``rewards`` they are the mean reward of each transition.
     """
-    met, starts, names, (n_states, n_actions) = samples
+    met, starts, names, (n_states, n_actions), available = samples
     law = initial
     if law is None:
         law = np.bincount(starts, minlength=n_states) / len(starts)
-    outcomes = _fill_pairs(met, law, n_actions, names)
+    can = np.ones((n_states, n_actions), np.bool_) if available is None else available
+    outcomes = _fill_pairs(met, law, can, names)
     by_pair = None
     if rewards is not None:
         table = _check_rewards(rewards, n_states, n_actions)
@@ -194,6 +231,7 @@ def frequency_arguments(
         outcomes,
         law,
         n_actions,
+        available=available,
         rewards=by_pair,
         layout=None if layout is None else check_layout(layout, n_states),
         state_names=names.states,
@@ -207,6 +245,9 @@ def frequency_arguments(
     sampling = _count_samples(
         met, terminal, counts.shape, n_starts, has_rewards=rewards is None
     )
+    mask = arguments["available"]
+    if mask is not None:  # nothing about them is unknown
+        sampling.pairs[~mask.reshape(-1)] = np.inf
     return arguments | {"transitions": frequencies, "sampling": sampling}
 
 
@@ -229,23 +270,24 @@ def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
 
 
 def _fill_pairs(
-    samples: Outcomes, initial: Array, n_actions: int, names: Names
+    samples: Outcomes, initial: Array, available: BoolArray, names: Names
 ) -> Outcomes:
-    """Return the samples, with others for the pairs (s, a) that have none.
+    """Return the samples, with others for the ``available`` pairs that have none.
 
     An action never taken in a state does what the other actions did there; a state
     never left is absorbing with reward 0, but for those that are entered by termination
     alone. A warning names such pairs.
     """
     state, action, following, _, _, terminated = samples
-    n_states = len(initial)
+    n_states, n_actions = available.shape
     row = state * n_actions + action
     counts = np.bincount(row, minlength=n_states * n_actions).reshape(-1, n_actions)
     is_left = counts.any(axis=1)
     is_entered = np.bincount(following[~terminated], minlength=n_states) > 0
     is_alive = is_left | (initial > 0) | is_entered
     is_ended = np.bincount(following[terminated], minlength=n_states) > 0
-    filled = np.argwhere((counts == 0) & is_alive[:, None])
+    is_lacking = (counts == 0) & available
+    filled = np.argwhere(is_lacking & is_alive[:, None])
     if len(filled):
         _checks.warn(
             f"{len(filled)} state-action pairs were never recorded and are filled in"
@@ -253,11 +295,12 @@ def _fill_pairs(
             f" reward 0): {names.first_pairs(filled)}",
             SimulatorWarning,
         )
-    stays = np.flatnonzero(~is_left & (is_alive | ~is_ended))
-    one = np.ones(len(stays))
+    is_kept = ~is_left & (is_alive | ~is_ended)
     parts = [samples]
     for a in range(n_actions):
-        others = np.flatnonzero((is_left & (counts[:, a] == 0))[state])
+        stays = np.flatnonzero(is_kept & available[:, a])
+        one = np.ones(len(stays))
+        others = np.flatnonzero((is_left & is_lacking[:, a])[state])
         copies = Outcomes._make(part[others] for part in samples)
         parts.append(copies._replace(action=np.full(len(others), a)))
         parts.append(

@@ -13,6 +13,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import BoolArray
 
 
 def require_environment(env: Any) -> None:
@@ -69,6 +70,25 @@ def read_flag(value: Any) -> bool | None:
         return bool(value)
     number = read_number(value)
     return None if number not in (0.0, 1.0) else bool(number)
+
+
+def read_mask(value: Any, n_actions: int, call: str) -> BoolArray:
+    """Return a mask of actions, (A,) booleans or numbers 0 and 1.
+
+    ``call`` is what gave it.
+    """
+    try:
+        array = np.asarray(value)
+    except Exception:  # a foreign type may raise anything
+        array = np.zeros(0)
+    is_mask = array.shape == (n_actions,) and array.dtype.kind in "biuf"
+    if not is_mask or not ((array == 0) | (array == 1)).all():
+        raise ArgumentError(
+            call,
+            f"must be {n_actions} numbers 0 or 1, one for each action; it is"
+            f" {_checks.show(value)}",
+        )
+    return np.asarray(array != 0)
 
 
 def read_integer(value: Any) -> int | None:

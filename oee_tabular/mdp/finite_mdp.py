@@ -745,7 +745,9 @@ class FiniteMDP:
 
     @classmethod
     @suggest_keywords
-    def from_gymnasium(cls, env: Env[Any, Any], discount: float = 0.99) -> Self:
+    def from_gymnasium(
+        cls, env: Env[Any, Any], discount: float = 0.99, *, masked: bool = False
+    ) -> Self:
         """Read the MDP of a Gymnasium environment that has a table of its transitions.
 
         Such are the toy-text environments with ``env.unwrapped.P`` (FrozenLake,
@@ -757,6 +759,9 @@ class FiniteMDP:
             The environment; it is not stepped.
         discount : float, default 0.99
             The discount gamma in [0, 1].
+        masked : bool, default False
+            Whether only the actions can be taken that ``env.unwrapped.action_mask``
+            allows in each state. Otherwise all can that have outcomes in the table.
 
         Returns
         -------
@@ -768,9 +773,9 @@ class FiniteMDP:
         ValueError
             If there is no such table (Blackjack), if the dynamics are not in it (a
             fickle Taxi passenger, a wrapper that changes actions, observations or
-            rewards), or if the table lacks an action, or has probabilities that do not
-            sum to 1, states outside it, or rewards that are no numbers: the error names
-            the entry, ``env.P[3][1][0]``.
+            rewards), or if the table has a state without actions, an action without a
+            state, probabilities that do not sum to 1, states outside it, or rewards
+            that are no numbers: the error names the entry, ``env.P[3][1][0]``.
 
         See Also
         --------
@@ -787,8 +792,21 @@ class FiniteMDP:
         an environment on a map (``desc`` or ``shape``, a cell for each state)
         ``layout`` has row and column. Names are the environment's ``state_names``,
         ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
+
+        An action that is no key of ``P[s]``, or has no outcomes there, cannot be taken
+        in s (``available``). All actions of a terminal state can.
+
+        Examples
+        --------
+        Taxi's masks leave out what would change nothing, such as driving into a wall:
+
+        >>> from oee_tabular.tasks import make_environment
+        >>> taxi = FiniteMDP.from_gymnasium(make_environment("Taxi-v4"), masked=True)
+        >>> taxi.available[0].tolist()  # south, north, east, west, pick up, drop off
+        [True, False, True, False, True, False]
         """
-        return cls(**read_table(env), discount=discount)
+        allow = _checks.boolean(masked, "masked")
+        return cls(**read_table(env, masked=allow), discount=discount)
 
     @classmethod
     @suggest_keywords
@@ -804,6 +822,7 @@ class FiniteMDP:
         state_names: NamesLike | None = None,
         action_names: NamesLike | None = None,
         layout: RealArrayLike | None = None,
+        available: IntArrayLike | None = None,
     ) -> Self:
         """Estimate the MDP of a log's frequencies: a simulator from its own log.
 
@@ -833,6 +852,9 @@ class FiniteMDP:
             log's.
         layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
             The coordinates of the states, as in the constructor.
+        available : array_like of bool of shape (S, A), optional
+            Which actions can be taken in each state, S the log's own states. None means
+            all of them.
 
         Returns
         -------
@@ -852,8 +874,8 @@ class FiniteMDP:
 
         Notes
         -----
-        P(s' | s, a) = n(s, a, s') / n(s, a). An action never recorded in a state gets
-        the mean distribution of those recorded there, weighted by their counts; a state
+        P(s' | s, a) = n(s, a, s') / n(s, a). An action that can be taken in a state but
+        was never recorded there gets the mean distribution of those recorded there, weighted by their counts; a state
         without recorded actions is absorbing with reward 0. A warning says how many
         such pairs there are. States in which transitions terminated are terminal, as in
         ``from_gymnasium``.
@@ -871,7 +893,7 @@ class FiniteMDP:
         sizes = (n_states, n_actions)
         names = (state_names, action_names)
         return cls(
-            **log_arguments(log, rewards, initial, sizes, names, layout),
+            **log_arguments(log, rewards, initial, sizes, names, layout, available),
             discount=discount,
         )
 
@@ -887,6 +909,7 @@ class FiniteMDP:
         max_steps: int = 1_000_000,
         state_names: NamesLike | None = None,
         action_names: NamesLike | None = None,
+        masked: bool = True,
     ) -> Self:
         """Estimate the MDP of a Gymnasium environment that can only be stepped.
 
@@ -912,6 +935,9 @@ class FiniteMDP:
             observed.
         action_names : sequence of A str or tuple, optional
             The names of the actions.
+        masked : bool, default True
+            Whether only the actions are taken that ``info["action_mask"]`` allows,
+            where reset and step give one; others cannot be taken (``available``).
 
         Returns
         -------
@@ -924,8 +950,9 @@ class FiniteMDP:
         ValueError
             If observations or actions are continuous, if an argument breaks its rule,
             or if the environment raises an error or returns what is no step (old Gym's
-            four values, a reward that is no number, an observation outside its space):
-            the error names the action, the state and what was returned.
+            four values, a reward that is no number, an observation outside its space, a
+            mask that allows no action or is not always the same in a state): the error
+            names the action, the state and what was returned.
 
         See Also
         --------
@@ -958,8 +985,9 @@ class FiniteMDP:
         # by name and on use, because what steps an environment is an agent, in a room
         # above this one
         exploring = importlib.import_module("oee_tabular.tasks.exploring")
+        allow = _checks.boolean(masked, "masked")
         samples = exploring.explore_environment(
-            env, samples_per_pair, seed, max_steps, names
+            env, samples_per_pair, seed, max_steps, names, masked=allow
         )
         return cls(**frequency_arguments(samples), discount=gamma)
 

@@ -22,6 +22,7 @@ from oee_tabular.mdp.environments import (
     is_discrete,
     read_flag,
     read_integer,
+    read_mask,
     read_number,
     require_environment,
 )
@@ -57,10 +58,10 @@ class Outcomes(NamedTuple):
     terminated: BoolArray
 
 
-def read_table(env: Any) -> dict[str, Any]:
+def read_table(env: Any, *, masked: bool = False) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP``, but the discount, from a toy-text table.
 
-    ``FiniteMDP.from_gymnasium`` explains them.
+    ``FiniteMDP.from_gymnasium`` explains them, and ``masked``.
     """
     if isinstance(env, str | type) or hasattr(env, "num_envs"):
         require_environment(env)
@@ -86,7 +87,10 @@ def read_table(env: Any) -> dict[str, Any]:
             " fickle_passenger=False",
         )
     n_states, n_actions = _check_sizes(base, table)
-    rows = list(_list_outcomes(table, n_states, n_actions))
+    available = np.ones((n_states, n_actions), dtype=np.bool_)
+    if masked:
+        available &= _read_masks(base, n_states, n_actions)
+    rows = list(_list_outcomes(table, available))
     columns = np.array(rows, dtype=np.float64).T
     outcomes = Outcomes._make(
         [*columns[:3].astype(np.int64), *columns[3:5], columns[5] > 0]
@@ -95,6 +99,7 @@ def read_table(env: Any) -> dict[str, Any]:
         outcomes,
         _checks.distribution(first, "env.initial_state_distrib", (n_states,)),
         n_actions,
+        available=available,
         layout=_map_layout(base, n_states),
         state_names=valid_names(getattr(base, "state_names", None), n_states),
         action_names=_action_names(base, n_actions),
@@ -106,6 +111,7 @@ def build_arguments(
     initial: Array,
     n_actions: int,
     *,
+    available: BoolArray | None = None,
     rewards: Array | None = None,
     layout: Array | None = None,
     state_names: tuple[Name, ...] | None = None,
@@ -116,12 +122,18 @@ def build_arguments(
     Outcomes that terminate lead to terminal states, and P has the sums of weights. A
     state that is only entered by termination is terminal itself; any other has a twin
     for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
-    their mean. ``rewards``: (S, A) of the own states, in place of theirs.
+    their mean. ``rewards``: (S, A) of the own states, in place of theirs;
+    ``available``: which actions can be taken in them, None for all.
     """
     terminal_state, terminal, twins = _terminal_states(outcomes, initial)
     n_own = len(initial)
     n_states = n_own + len(twins)
     shape = n_states * n_actions, n_states
+    mask: BoolArray | None = None
+    if available is not None and not available.all():
+        mask = np.ones((n_states, n_actions), dtype=np.bool_)
+        mask[:n_own] = available
+        mask[terminal] = True
     # outcomes of what became terminal are replaced by staying there
     is_kept = ~np.isin(outcomes.state, terminal)
     weight = outcomes.weight
@@ -147,6 +159,7 @@ def build_arguments(
         "layout": None if layout is None else np.concatenate([layout, layout[twins]]),
         "state_names": _add_twin_names(state_names, twins),
         "action_names": action_names,
+        "available": mask,
     }
 
 
@@ -220,7 +233,15 @@ def _check_sizes(base: Any, table: Any) -> tuple[int, int]:
     own = _entry(table, "env.P", 0, n_states, "state")
     n_actions = len(_entries(own, "env.P[0]", "action"))
     if isinstance(own, Mapping):
-        numbers = [key for key in own if _checks.is_integer(key)]
+        # a state may lack some of the actions
+        rows = table.values() if isinstance(table, Mapping) else table
+        numbers = [
+            key
+            for row in rows
+            if isinstance(row, Mapping)
+            for key in row
+            if _checks.is_integer(key)
+        ]
         n_actions = max(n_actions, 1 + max(numbers, default=0))
     space = getattr(base, "action_space", None)
     if is_discrete(space):
@@ -253,9 +274,8 @@ def _entry(value: Any, name: str, number: int, size: int, noun: str) -> Any:
         hint = ""
         if noun == "action":
             hint = (
-                " (an action that cannot be taken may stay in place:"
-                f" {name}[{number}] = [(1.0, {name.rpartition('[')[2][:-1]}, 0.0,"
-                " False)])"
+                f" (of an action that cannot be taken: {name}[{number}] = [], a list"
+                " without outcomes)"
             )
         raise ArgumentError(
             name,
@@ -264,26 +284,71 @@ def _entry(value: Any, name: str, number: int, size: int, noun: str) -> Any:
         ) from None
 
 
+def _read_masks(base: Any, n_states: int, n_actions: int) -> BoolArray:
+    """Return the masks of an environment's actions in each state, (S, A)."""
+    if not callable(getattr(base, "action_mask", None)):
+        raise ArgumentError(
+            "masked",
+            f"must be False where the environment has no action_mask(state);"
+            f" {type(base).__name__} has none (masks in info are read by"
+            " FiniteMDP.from_env)",
+        )
+    return np.array(
+        [
+            read_mask(base.action_mask(s), n_actions, f"env.action_mask({s})")
+            for s in range(n_states)
+        ]
+    )
+
+
 def _list_outcomes(
-    table: Any, n_states: int, n_actions: int
+    table: Any, available: BoolArray
 ) -> Iterator[tuple[int, int, int, float, float, bool]]:
     """Yield the outcomes of positive probability, in the order of ``Outcomes``.
 
-    What is no outcome is an ArgumentError that names its place in the table.
+    What is no outcome is an ArgumentError that names its place in the table. In
+    ``available`` (S, A), an action whose outcomes the table lacks, or lists none of,
+    becomes False; the outcomes of one that is False are left out.
     """
+    n_states, n_actions = available.shape
     for s in range(n_states):
         actions = _entry(table, "env.P", s, n_states, "state")
         name = f"env.P[{s}]"
         n_own = len(_entries(actions, name, "action"))
+        is_mapping = isinstance(actions, Mapping)
+        n_found = n_empty = 0
         for a in range(n_actions):
+            if is_mapping and a not in actions:
+                available[s, a] = False
+                continue
             listed = _entry(actions, name, a, n_actions, "action")
-            yield from _check_outcomes(listed, s, a, n_states)
-        if n_own != n_actions:
+            n_found += 1
+            if isinstance(listed, Mapping | list | tuple) and len(listed) == 0:
+                available[s, a] = False
+                n_empty += 1
+                continue
+            found = _check_outcomes(listed, s, a, n_states)
+            if available[s, a]:
+                yield from found
+        if n_own != n_found:
+            keys = f": {_checks.show(list(actions)[:5])}" if is_mapping else ""
             raise ArgumentError(
                 name,
-                f"must have the {n_actions} actions 0..{n_actions - 1} of every state;"
-                f" it has {n_own}",
+                f"must have actions in 0..{n_actions - 1}; it has {n_own}{keys}",
             )
+        if n_empty == n_found:
+            raise ArgumentError(
+                name,
+                f"must have an action that can be taken; state {s} has none (a terminal"
+                f" state: {name}[0] = [(1.0, {s}, 0.0, True)])",
+            )
+    never = np.flatnonzero(~available.any(axis=0))
+    if never.size:
+        raise ArgumentError(
+            "env.P",
+            f"must have each action 0..{n_actions - 1} in some state; no state has"
+            f" action {never[0]}",
+        )
 
 
 def _check_outcomes(

@@ -124,7 +124,7 @@ def check_policy(
     if is_float_array and given.shape in shapes:
         array = np.array(given, order="C")
         if _are_distributions(array):
-            return _require_available(array, mdp, name)
+            return require_available(array, mdp, name)
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         given = policy_table(policy, mdp, name)
     array = _checks.float_array(given, name)
@@ -136,11 +136,14 @@ def check_policy(
         rows = uniform_policy(mdp)[n_own:]
         twins = np.broadcast_to(rows, (*array.shape[:-2], *rows.shape))
         array = np.concatenate([array, twins], axis=-2)
-    return _require_available(array, mdp, name)
+    return require_available(array, mdp, name)
 
 
-def _require_available(array: Array, mdp: Sized, name: str) -> Array:
-    """Return a policy's array; an action that cannot be taken is an ArgumentError."""
+def require_available(array: Array, mdp: Sized, name: str) -> Array:
+    """Return (..., S, A) probabilities, 0 where an action cannot be taken.
+
+    Another one is an ArgumentError that names state and action.
+    """
     if has_all_actions(mdp):
         return array
     bad = np.argwhere((array > 0.0) & ~mdp.available)  # type: ignore[attr-defined]

@@ -30,7 +30,9 @@ DIGITS = 9  # decimals: displacements that differ by less than 1e-9 are one
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Hold all or some rows s*A + a of a simulator, none of them empty.
+    """Hold all or some rows s*A + a of a simulator.
+
+    Rows of actions that cannot be taken are empty: their sums are 0.
 
     Attributes
     ----------
@@ -39,7 +41,7 @@ class Rows:
     arrival : ndarray of int of shape (entries,)
         The next states.
     weights : ndarray of shape (entries,)
-        The simulator's probabilities, each row summing to 1.
+        The simulator's probabilities, each row that is not empty summing to 1.
     indptr : ndarray of int of shape (rows + 1,)
         Where the entries of each row begin, and the number of entries.
     entries : ndarray of int or slice
@@ -69,18 +71,14 @@ class Rows:
 
     @classmethod
     def of(cls, simulator: FiniteMDP) -> Rows:
-        """Return all rows of a simulator, but those of actions that cannot be taken."""
+        """Return all rows of a simulator; those of unavailable actions are empty."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
-        number = np.arange(csr.shape[0])
-        if not simulator.has_all_actions:
-            number = np.flatnonzero(simulator.available)
-            indptr = np.append(indptr[number], indptr[-1])
-        sums = np.add.reduceat(csr.data, indptr[:-1])
+        sums = reduce_rows(np.add, csr.data, indptr)
         weights = csr.data / np.repeat(sums, np.diff(indptr))
         sizes = simulator.n_states, simulator.n_actions
         return cls(
-            number,
+            np.arange(csr.shape[0]),
             csr.indices,
             weights,
             indptr,
@@ -158,11 +156,11 @@ class Rows:
 
     def sums(self, values: Array) -> Array:
         """Sum (entries,) or (entries, d) values over each row."""
-        return np.asarray(np.add.reduceat(values, self.indptr[:-1], axis=0))
+        return reduce_rows(np.add, values, self.indptr)
 
     def largest(self, values: Array) -> Array:
-        """Return the largest value of each row."""
-        return np.asarray(np.maximum.reduceat(values, self.indptr[:-1]))
+        """Return the largest value of each row, 0 of an empty one."""
+        return reduce_rows(np.maximum, values, self.indptr)
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """Repeat each row's value at each of its entries."""
@@ -190,15 +188,36 @@ class Rows:
         return np.asarray(values - self.spread(self.mean(self.weights, values)))
 
     def tilt(self, exponent: Array) -> tuple[Array, Array]:
-        """Return rows proportional to ``weights`` exp(exponent), and ln Z of each."""
+        """Return rows proportional to ``weights`` exp(exponent), and ln Z of each.
+
+        ln Z is 0 of an empty row.
+        """
         top = self.largest(exponent)
         raw = self.weights * np.exp(exponent - self.spread(top))
         total = self.sums(raw)
+        total[self.indptr[1:] == self.indptr[:-1]] = 1.0
         return raw / self.spread(total), top + np.log(total)
 
     def frequencies(self, counts: Array) -> Array:
         """Divide (entries,) counts by the sum of their row; rows without any get 0."""
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
+
+
+def reduce_rows(
+    operation: np.ufunc, values: NDArray[Any], indptr: NDArray[np.integer[Any]]
+) -> Array:
+    """Add, or otherwise join, the (entries,) or (entries, d) values of each row.
+
+    An empty row has 0, where ``reduceat`` would take the entry of the next one.
+    """
+    first = indptr[:-1]
+    is_filled = indptr[1:] > first
+    if is_filled.all():
+        return np.asarray(operation.reduceat(values, first, axis=0))
+    result = np.zeros((len(first), *values.shape[1:]))
+    if is_filled.any():
+        result[is_filled] = operation.reduceat(values, first[is_filled], axis=0)
+    return result
 
 
 def distinct_rows(table: Array) -> tuple[Array, IntArray]:

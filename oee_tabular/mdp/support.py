@@ -36,7 +36,8 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     )
     same = sparse.eye_array(n_states * n_actions)
     if not mdp.has_all_actions:
-        noise, same = _mix_available(mdp.available)
+        noise = mean_available(mdp.available)
+        same = sparse.diags_array(mdp.available.reshape(-1).astype(np.float64))
     mixing = sparse.csr_array((1.0 - eps) * same + eps * noise)
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
     expected = mixing @ mdp.rewards.reshape(-1)
@@ -56,8 +57,8 @@ def add_action_noise(mdp: FiniteMDP, epsilon: float) -> dict[str, Any]:
     return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
 
 
-def _mix_available(available: BoolArray) -> tuple[Any, Any]:
-    """Return what takes each row to the mean row of its state, and to itself.
+def mean_available(available: BoolArray) -> Any:
+    """Return the matrix (S*A, S*A) that takes each row to the mean row of its state.
 
     The rows of actions that cannot be taken are neither averaged nor made.
     """
@@ -65,7 +66,7 @@ def _mix_available(available: BoolArray) -> tuple[Any, Any]:
     kept = sparse.diags_array(available.reshape(-1).astype(np.float64))
     shares = available / available.sum(axis=1, keepdims=True)
     among = sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, n_actions)))
-    return kept @ among @ sparse.diags_array(shares.reshape(-1)), kept
+    return kept @ among @ sparse.diags_array(shares.reshape(-1))
 
 
 def add_support(
@@ -105,10 +106,13 @@ def add_support(
     return {"transitions": new, "rewards": rewards}
 
 
-def require_available_rows(mdp: FiniteMDP, rows: IntArray, name: str) -> None:
+def require_available_rows(
+    mdp: FiniteMDP, rows: IntArray, name: str, *, by_row: bool = False
+) -> None:
     """Raise an ArgumentError where rows s*A + a are of actions that cannot be taken.
 
-    ``rows`` are those of the transitions of ``name``, in its order.
+    ``rows`` are those of the transitions of ``name``, in its order, or ``by_row`` some
+    of its own rows.
     """
     if mdp.has_all_actions:
         return
@@ -116,12 +120,31 @@ def require_available_rows(mdp: FiniteMDP, rows: IntArray, name: str) -> None:
     if bad.size:
         state, action = divmod(int(rows[bad[0]]), mdp.n_actions)
         more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        place = int(rows[bad[0]] if by_row else bad[0])
         raise ArgumentError(
-            f"{name}[{bad[0]}]",
-            "must have actions that can be taken in their state;"
-            f" {mdp.names.pair(state, action)} cannot{more} (simulator.available says"
-            " which can: make it True there, with the row of transitions, or leave such"
-            " rows out of the log)",
+            f"{name}[{place}]",
+            "must have an action that can be taken in its state; in state"
+            f" {mdp.names.state(state)} action {mdp.names.action(action)} cannot be"
+            f" taken, and is{more} (if the target can, set available[{state}, {action}]"
+            " = True and give the row of transitions; if not, leave it out)",
+        )
+
+
+def require_same_available(target: FiniteMDP, simulator: FiniteMDP) -> None:
+    """Raise an ArgumentError unless the same actions can be taken in both MDPs."""
+    if target.has_all_actions and simulator.has_all_actions:
+        return
+    bad = np.argwhere(target.available != simulator.available)
+    if len(bad):
+        state, action = bad[0]
+        whose = "simulator" if target.available[state, action] else "target"
+        more = f" ({len(bad)} such pairs in all)" if len(bad) > 1 else ""
+        raise ArgumentError(
+            "target",
+            "must have the simulator's available actions; in state"
+            f" {simulator.names.state(state)} action {simulator.names.action(action)}"
+            f" cannot be taken in the {whose}, but in the other{more} (make both with"
+            " the same available=)",
         )
 
 

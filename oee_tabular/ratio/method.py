@@ -106,13 +106,16 @@ class RatioInput:
         counts = rows.sums(self.observed).reshape(
             self.simulator.n_states, self.simulator.n_actions
         )
+        missed = np.abs(rows.sums(zeta * matrix.data) - 1.0)
+        if not self.simulator.has_all_actions:
+            missed = missed[self.simulator.available.reshape(-1)]
         parts = _checks.freeze(zeta), matrix.indices, matrix.indptr
         return TransitionRatio(
             values=sparse.csr_array(parts, shape=matrix.shape),
             method=method,
             gap=gap,
             visited=counts > 0,
-            row_sum_error=float(np.abs(rows.sums(zeta * matrix.data) - 1.0).max()),
+            row_sum_error=float(missed.max()),
             counts=counts,
             details=details,
             _influence=influence,

@@ -13,7 +13,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import check_policy
+from oee_tabular.mdp import check_policy, uniform_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
@@ -227,7 +227,7 @@ def simulator_weights(
         )
         total = pairs.sum(axis=1, keepdims=True)
         behavior = np.where(
-            total > 0, pairs / np.maximum(total, 1e-300), 1.0 / simulator.n_actions
+            total > 0, pairs / np.maximum(total, 1e-300), uniform_policy(simulator)
         )
     timestep = None if given.log is None else given.log.timestep
     steps = _DEFAULT_EPISODE_STEPS if timestep is None else int(timestep.max()) + 1

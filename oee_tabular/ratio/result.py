@@ -170,6 +170,8 @@ class TransitionRatio:
         zeta = self.on(simulator)
         data = zeta * simulator.transitions.data
         sums = row_sums(simulator.transitions, data)
+        # the rows of actions that cannot be taken are empty
+        sums[~simulator.available.reshape(-1)] = 1.0
         if normalize:
             data = data / sums[row_of_entry(simulator.transitions)]
         elif np.abs(sums - 1.0).max() > _checks.SUM_TOLERANCE:

@@ -16,7 +16,12 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, name_transition
+from oee_tabular.mdp import (
+    FiniteMDP,
+    name_transition,
+    require_available_rows,
+    require_same_available,
+)
 from oee_tabular.ratio.dual import check_distributions
 from oee_tabular.typing import (
     Array,
@@ -81,6 +86,8 @@ def refuse_unsupported(
     bad = np.flatnonzero((counts.data > 0) & ~possible)
     if bad.size == 0:
         return
+    row = row_of_entry(counts)[bad]
+    require_available_rows(simulator, row, what, by_row=True)
     most_frequent = bad[np.argsort(-counts.data[bad], kind="stable")][:4]
     named = []
     for k in most_frequent:
@@ -376,6 +383,7 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> Csr:
             raise ArgumentError(
                 "counts", f"must be {rule}; at {where} there is {matrix.data[k]:g}"
             )
+    require_available_rows(simulator, row_of_entry(matrix), "counts", by_row=True)
     return matrix
 
 
@@ -401,14 +409,19 @@ def supported_counts(counts: Csr, simulator: FiniteMDP) -> Array:
 
 
 def require_pair(target: object, simulator: object) -> None:
-    """Raise an error unless both are MDPs with the same states and actions."""
-    first = _checks.instance(target, FiniteMDP, "target").transitions
-    second = _checks.instance(simulator, FiniteMDP, "simulator").transitions
-    if first.shape != second.shape:
+    """Raise an error unless both are MDPs with the same states and actions.
+
+    The same actions can be taken in each state.
+    """
+    first = _checks.instance(target, FiniteMDP, "target")
+    second = _checks.instance(simulator, FiniteMDP, "simulator")
+    shapes = first.transitions.shape, second.transitions.shape
+    if shapes[0] != shapes[1]:
         raise ValueError(
             "target and simulator must have the same states and actions; their"
-            f" transitions have shapes {first.shape} and {second.shape}"
+            f" transitions have shapes {shapes[0]} and {shapes[1]}"
         )
+    require_same_available(first, second)
 
 
 @checked(counts=("below", "above", "unsupported"))

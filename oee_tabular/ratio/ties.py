@@ -130,7 +130,7 @@ class Tied(Method):
         ratio[known] = fit.ratio
         zeta = ratio[keys]
         sums = rows.sums(zeta * matrix.data)
-        empty = np.flatnonzero(~(sums > 0))
+        empty = np.flatnonzero(~(sums > 0) & simulator.available.reshape(-1))
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
             raise ArgumentError(
@@ -140,7 +140,7 @@ class Tied(Method):
                 f" such rows in all); it is {kappa:g}",
             )
         zeta = zeta / rows.spread(sums)
-        used = sums[visits > 0] if (visits > 0).any() else sums
+        used = sums[visits > 0] if (visits > 0).any() else sums[sums > 0]
         details: dict[str, object] = {
             "n_keys": n_keys,
             "n_groups": n_groups,
@@ -187,8 +187,9 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
 
 def _groups(rows: Rows, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
     """Return the number of groups of keys that share rows, and each key's group."""
-    # Every row has an entry; the other entries of the row are joined to its first.
-    lead = keys[rows.indptr[:-1]]
+    # The other entries of a row are joined to its first. A row without any has none,
+    # and the last ones would begin beyond the end.
+    lead = keys[np.minimum(rows.indptr[:-1], len(keys) - 1)]
     pairs = np.unique(rows.spread(lead) * n_keys + keys)
     joined = sparse.csr_array(
         (np.ones(len(pairs)), np.divmod(pairs, n_keys)), shape=(n_keys, n_keys)

@@ -43,7 +43,7 @@ from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
-from oee_tabular.mdp import FiniteMDP, check_policies
+from oee_tabular.mdp import FiniteMDP, check_policies, require_same_available
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
 from oee_tabular.report.uncertainty import (
@@ -602,6 +602,7 @@ def _check_target(target: FiniteMDP, simulator: FiniteMDP) -> None:
             f" {simulator.n_actions} actions; it has {target.n_states} and"
             f" {target.n_actions}",
         )
+    require_same_available(target, simulator)
 
 
 def is_best_in_log(problem: Problem, policy: Array) -> bool:
@@ -622,7 +623,10 @@ def is_best_in_log(problem: Problem, policy: Array) -> bool:
 def _is_optimal(model: Model, policy: Array) -> bool:
     """Return whether no action beats the policy's own in a state that it reaches."""
     values = action_values(model, policy)
-    lost = values.max(axis=1) - (policy * values).sum(axis=1)
+    best = values.max(axis=1)
+    # -inf is the value of an action that cannot be taken
+    values = np.where(model.available, values, 0.0)
+    lost = best - (policy * values).sum(axis=1)
     reached = occupancy(model, policy).sum(axis=1) > 0
     largest = max(largest_reward(model), float(np.abs(values).max()))
     tolerance = OPTIMALITY_TOLERANCE * largest

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._sparse import repeat_rows, row_of_entry
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length
+from oee_tabular.mdp import FiniteMDP, check_policy, horizon_length, require_available
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -405,9 +405,8 @@ def sample_transitions(
         n_twins = mdp.n_states - n_own
         weights = np.concatenate([weights, np.zeros((n_twins, mdp.n_actions))])
     shape = (mdp.n_states, mdp.n_actions)
-    pairs = _checks.distribution(
-        weights, "distribution", shape, given=distribution
-    ).reshape(-1)
+    table = _checks.distribution(weights, "distribution", shape, given=distribution)
+    pairs = require_available(table, mdp, "distribution").reshape(-1)
     # episodes of one step, whose states are pairs and which have one action
     drawn = draw(
         mdp,

@@ -15,6 +15,7 @@ from oee_tabular.tasks.gridworld import (
     gridworld_expert,
     gridworld_policy,
 )
+from oee_tabular.tasks.recycling_robot import recycling_robot
 from oee_tabular.tasks.specs import FINITE as FINITE
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
@@ -104,6 +105,7 @@ __all__ = [
     "record",
     "record_episodes",
     "record_goals",
+    "recycling_robot",
     "resimulate",
     "toy_text",
     "train_expert",

@@ -11,7 +11,8 @@ far, value iteration solves
 with V_0 in place of V(s') where the episode terminates; gamma V_0 is what a reset is
 worth, so that traps are left. V is the largest E gamma^t, t the number of steps to the
 nearest pair that lacks samples. Each state that was met was reached from a first state:
-V > 0 as long as a pair lacks samples. On a warehouse of 144 states and 3 actions each
+V > 0 as long as a pair lacks samples. Where the environment's info has a mask of
+actions, the others are no pairs. On a warehouse of 144 states and 3 actions each
 sample that is wanted takes 2.2 steps.
 """
 
@@ -30,7 +31,11 @@ from oee_tabular.exceptions import ArgumentError, SimulatorWarning
 
 # not by the room's door: FiniteMDP.from_env asks for this file on use
 from oee_tabular.mdp.empirical import Samples
-from oee_tabular.mdp.environments import read_integer, require_environment
+from oee_tabular.mdp.environments import (
+    read_integer,
+    read_mask,
+    require_environment,
+)
 from oee_tabular.mdp.gymnasium_table import Outcomes
 from oee_tabular.mdp.naming import Name, Names, check_names, numbers_of, to_plain
 from oee_tabular.tasks.stepping import (
@@ -40,7 +45,7 @@ from oee_tabular.tasks.stepping import (
     reset_environment,
     step_environment,
 )
-from oee_tabular.typing import Csr, IntArray, Seed
+from oee_tabular.typing import BoolArray, Csr, IntArray, Seed
 
 # The discount of the exploration alone: a pair 1000 steps away still counts 4e-5.
 EXPLORATION_DISCOUNT = 0.99
@@ -53,6 +58,7 @@ MIN_PLAN_AGE = 64
 RANDOM_SHARE = 0.05
 STEPS_OF_A_REPORT = 1000  # between two looks at the progress
 MAX_CUTS = 10  # episodes truncated in a state, before it counts as out of reach
+MASK = "action_mask"  # its name in an environment's info
 RESET = -1  # the action of leaving an episode; the next state where it terminates
 
 
@@ -62,6 +68,8 @@ def explore_environment(
     seed: Seed,
     max_steps: object,
     names: tuple[Any, Any],
+    *,
+    masked: bool = True,
 ) -> Samples:
     """Draw the samples that ``FiniteMDP.from_env`` makes its model of.
 
@@ -86,7 +94,9 @@ def explore_environment(
         rule = "a sequence of texts or tuples"
         states = _checks.collection(names[0], "state_names", rule)
         states = check_names(states, "state_names", size or len(states))
-    explorer = Explorer(env, n_actions, n_wanted, _checks.generator(seed), size)
+    explorer = Explorer(
+        env, n_actions, n_wanted, _checks.generator(seed), size, masked=masked
+    )
     explorer.explore(limit)
     n_states, state_names, number = _number_states(explorer, states)
     called = Names(state_names, actions)
@@ -103,7 +113,13 @@ def explore_environment(
         reward,
         terminated,
     )
-    return Samples(outcomes, number[explorer.starts], called, (n_states, n_actions))
+    available = None
+    if explorer.masks:
+        available = np.ones((n_states, n_actions), dtype=np.bool_)
+        for met, mask in explorer.masks.items():
+            available[number[met]] = mask
+    shape = (n_states, n_actions)
+    return Samples(outcomes, number[explorer.starts], called, shape, available)
 
 
 def _number_states(
@@ -145,7 +161,7 @@ def _warn_of_lacking_pairs(
     explorer: Explorer, number: IntArray, names: Names, limit: int
 ) -> None:
     """Warn of the state-action pairs that have too few samples after the last step."""
-    total = explorer.n_actions * len(explorer.open)
+    total = explorer.n_pairs
     short = [(number[s], a) for s, a in sorted(explorer.lacking)]
     _checks.warn(
         f"samples_per_pair, {explorer.n_wanted}, was not reached within max_steps,"
@@ -182,6 +198,8 @@ class Explorer:
         The number of states where observations are Discrete.
     is_numbered : bool
         Whether observations are numbers, and not names.
+    masks : dict
+        Which actions can be taken, (A,) booleans, in each state that had a mask.
     """
 
     def __init__(
@@ -191,8 +209,13 @@ class Explorer:
         n_wanted: int,
         generator: np.random.Generator,
         size: int | None,
+        *,
+        masked: bool = True,
     ) -> None:
         self.env = env
+        self.masked = masked
+        self.masks: dict[int, BoolArray] = {}
+        self._info: Any = None  # what came with the last observation
         self.size = size
         self.is_numbered = True
         self.n_actions = n_actions
@@ -223,8 +246,10 @@ class Explorer:
                     break
                 is_first = is_over
                 if is_over:
-                    seen = reset_environment(self.env, seed)
+                    seen = reset_environment(self.env, seed, keep=self._keep)
                     state = self._number(seen, "env.reset")
+                    if self.masked:
+                        self._read_mask(state, "env.reset")
                     seed = None
                     self.starts.append(state)
                     self._set_open(state, True)
@@ -236,9 +261,16 @@ class Explorer:
                 if len(self.transitions) % STEPS_OF_A_REPORT == 0:
                     self._report(bar)
 
+    @property
+    def n_pairs(self) -> int:
+        """Return the number of pairs of the open states."""
+        if not self.masks:
+            return self.n_actions * len(self.open)
+        return sum(len(self._actions_of(state)) for state in self.open)
+
     def _report(self, bar: Any) -> None:
         """Show how many of the reached pairs have their samples."""
-        n_pairs = self.n_actions * len(self.open)
+        n_pairs = self.n_pairs
         n_done = n_pairs - len(self.lacking)
         bar.total = n_pairs
         bar.update(n_done - bar.n)
@@ -250,9 +282,11 @@ class Explorer:
     def _step(self, state: int, action: int) -> tuple[int, bool]:
         """Take an action; return the next state and whether the episode is over."""
         observation, reward, terminated, truncated = step_environment(
-            self.env, action, self._seen
+            self.env, action, self._seen, keep=self._keep
         )
         following = self._number(observation, action)
+        if self.masked and not terminated:
+            self._read_mask(following, action)
         self.transitions.append((state, action, following, reward, terminated))
         self._outcomes[state, action][RESET if terminated else following] += 1
         self._counts[state, action] += 1
@@ -266,6 +300,59 @@ class Explorer:
         elif not terminated:
             self._set_open(following, True)
         return following, terminated or truncated
+
+    def _keep(self, info: Any) -> None:
+        """Keep what came with an observation."""
+        self._info = info
+
+    def _read_mask(self, state: int, call: int | str) -> None:
+        """Keep the mask of actions that the environment gave with a state.
+
+        It is the same whenever the state is met.
+        """
+        info = self._info if isinstance(self._info, Mapping) else {}
+        known = self.masks.get(state)
+        if known is None and MASK not in info:
+            return
+        name, _ = self._place(call)
+        place = f'{name}: info["{MASK}"]'
+        seen = _checks.show(self._seen)
+        if MASK not in info:
+            raise ArgumentError(
+                place,
+                f"must be given whenever state {seen} is met, as it was before; it is"
+                " not there (masked=False leaves masks out)",
+            )
+        mask = read_mask(info[MASK], self.n_actions, place)
+        if known is None:
+            if not mask.any():
+                raise ArgumentError(
+                    place,
+                    f"must allow an action in state {seen}, which does not terminate the"
+                    " episode; it allows none",
+                )
+            if state in self.open or self._was_left(state):
+                raise ArgumentError(
+                    place,
+                    f"must be given whenever state {seen} is met; it was not there"
+                    " before (masked=False leaves masks out)",
+                )
+            self.masks[state] = mask
+        elif (mask != known).any():
+            raise ArgumentError(
+                place,
+                f"must be the same whenever state {seen} is met; it is"
+                f" {mask.astype(int).tolist()} after {known.astype(int).tolist()} (what"
+                " decides which actions can be taken belongs to the observation;"
+                " masked=False leaves masks out)",
+            )
+
+    def _actions_of(self, state: int) -> list[int]:
+        """List the actions that can be taken in a state."""
+        if state not in self.masks:
+            return list(range(self.n_actions))
+        actions: list[int] = np.flatnonzero(self.masks[state]).tolist()
+        return actions
 
     def _was_left(self, state: int) -> bool:
         """Say whether any action was taken in a state."""
@@ -333,9 +420,8 @@ class Explorer:
 
     def _actions_that_lack(self, state: int) -> list[int]:
         """List the actions of a state that have too few samples."""
-        return [
-            a for a in range(self.n_actions) if self._counts[state, a] < self.n_wanted
-        ]
+        actions = self._actions_of(state) if self.masks else range(self.n_actions)
+        return [a for a in actions if self._counts[state, a] < self.n_wanted]
 
     def _set_open(self, state: int, is_open: bool) -> None:
         """Keep whether an episode can act in a state, so that it needs samples."""
@@ -356,6 +442,8 @@ class Explorer:
         if not is_planned or age >= max(MIN_PLAN_AGE, len(self.states) // 2):
             self._plan()
         if self.generator.random() < RANDOM_SHARE:
+            if state in self.masks:
+                return int(self.generator.choice(self._actions_of(state)))
             return int(self.generator.integers(self.n_actions))
         best = self._best[state]
         if best == RESET and is_first:  # a reset would lead to where the episode is
@@ -387,10 +475,14 @@ class Explorer:
             VALUE_TOLERANCE,
             MAX_SWEEPS,
         )
+        for state, mask in self.masks.items():
+            ahead[state, ~mask] = -np.inf
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
         is_reset_better = best < EXPLORATION_DISCOUNT * values[n] - VALUE_TOLERANCE
         self._best = np.where(is_reset_better, RESET, actions).tolist()
-        self._values = np.where(is_taken, ahead, 1.0).tolist()
+        # what was never taken may lead anywhere, but for what cannot be taken
+        unknown = ~is_taken & (ahead > -np.inf)
+        self._values = np.where(unknown, 1.0, ahead).tolist()
         self._plan_step = len(self.transitions)
 
     def _frequencies(self) -> Csr:

@@ -21,6 +21,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
+from oee_tabular.tasks.recycling_robot import recycling_robot
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 from oee_tabular.typing import Array
 
@@ -31,7 +32,7 @@ else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded o
     ContinuousSimulator: TypeAlias = Any
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
-FINITE = ("gridworld",)
+FINITE = ("gridworld", "recycling_robot")
 
 
 @checked()
@@ -83,7 +84,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     ----------
     spec : str
         ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task
-        of ours ("gridworld"; "cartpole" on its default grid), a Gymnasium id with a
+        of ours ("gridworld", "recycling_robot"; "cartpole" on its default grid), a Gymnasium id with a
         toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its
         grid); or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
         literals or words.
@@ -122,6 +123,10 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         return NamedTask(spec, mdp, partial(_plan, mdp))
     if name == "gridworld":
         return _gridworld_task(spec, rest, given)
+    if name == "recycling_robot":
+        bound = _bind(recycling_robot, spec, rest, given, "recycling_robot:beta=0.6")
+        mdp = recycling_robot(*bound.args, **bound.kwargs)
+        return NamedTask(spec, mdp, partial(_plan, mdp))
     # imported here because the core loads without continuous tasks
     command = importlib.import_module("oee_tabular.continuous.command")
     if command.is_continuous(spec):
@@ -138,16 +143,27 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
 
 def _gridworld_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
     """Make the gridworld that ``rest``, the part of ``spec`` after its name, names."""
-    positional, keywords = arguments(rest)
-    try:
-        bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
-    except TypeError as error:
-        raise ValueError(
-            f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}"
-        ) from None
+    bound = _bind(gridworld, spec, rest, given, "gridworld:10,slip=0.3")
     size = bound.arguments["size"]
     mdp = gridworld(*bound.args, **bound.kwargs)
     return NamedTask(spec, mdp, partial(gridworld_expert, size), grid=size)
+
+
+def _bind(
+    make: Callable[..., FiniteMDP],
+    spec: str,
+    rest: str,
+    given: dict[str, float],
+    example: str,
+) -> inspect.BoundArguments:
+    """Return the arguments of a task that ``rest``, the end of ``spec``, gives."""
+    positional, keywords = arguments(rest)
+    try:
+        return inspect.signature(make).bind(*positional, **(keywords | given))
+    except TypeError as error:
+        raise ValueError(
+            f"simulator {spec!r} must be like {example!r}; {error}"
+        ) from None
 
 
 def _continuous_task(

@@ -9,7 +9,7 @@ value. A step in the usual form costs .2 us more than ``env.step`` alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,8 +85,14 @@ def count_observations(env: Any) -> int | None:
     return start + int(space.n)  # type: ignore[union-attr]
 
 
-def reset_environment(env: Any, seed: int | None = None, *, name: str = "env") -> Any:
-    """Begin an episode, and return its first observation."""
+def reset_environment(
+    env: Any,
+    seed: int | None = None,
+    *,
+    name: str = "env",
+    keep: Callable[[Any], None] | None = None,
+) -> Any:
+    """Begin an episode, and return its first observation; ``keep`` gets its info."""
     try:
         result = env.reset(seed=seed)
     except Exception as error:  # an environment may raise anything
@@ -99,6 +105,8 @@ def reset_environment(env: Any, seed: int | None = None, *, name: str = "env") -
     if isinstance(result, tuple | list) and len(result) == 2:
         observation, info = result
         if info is None or isinstance(info, Mapping):
+            if keep is not None:
+                keep(info)
             return observation
     raise ArgumentError(
         f"{name}.reset",
@@ -109,17 +117,23 @@ def reset_environment(env: Any, seed: int | None = None, *, name: str = "env") -
 
 
 def step_environment(
-    env: Any, action: Any, state: object, *, name: str = "env"
+    env: Any,
+    action: Any,
+    state: object,
+    *,
+    name: str = "env",
+    keep: Callable[[Any], None] | None = None,
 ) -> Step | tuple[Any, float, bool, bool]:
-    """Take an action; ``state`` is where, for errors."""
+    """Take an action; ``state`` is where, for errors, and ``keep`` gets the info."""
     try:
         result = env.step(action)
     except Exception as error:  # an environment may raise anything
         hint = ""
         if isinstance(error, LookupError):
             hint = (
-                " (an action that cannot be taken in a state may stay there: return the"
-                " same observation with the reward 0)"
+                " (an action that cannot be taken in a state is left out by a mask,"
+                ' info["action_mask"], or may stay there: return the same observation'
+                " with the reward 0)"
             )
         elif getattr(env, "unwrapped", env) is not env:
             hint = " (of env.unwrapped, without its wrappers, the error may say more)"
@@ -129,7 +143,9 @@ def step_environment(
             f" {_reason(error)}{hint}",
         ) from error
     if type(result) is tuple and len(result) == 5:
-        observation, reward, terminated, truncated, _ = result
+        observation, reward, terminated, truncated, info = result
+        if keep is not None:
+            keep(info)
         if (
             type(reward) is float
             and reward - reward == 0.0  # finite
@@ -137,7 +153,10 @@ def step_environment(
             and type(truncated) is bool
         ):
             return observation, reward, terminated, truncated
-    return _check_step(result, name, action, state)
+    step = _check_step(result, name, action, state)
+    if keep is not None:
+        keep(result[4])
+    return step
 
 
 def _check_step(result: Any, name: str, action: Any, state: object) -> Step:

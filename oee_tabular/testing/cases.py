@@ -345,6 +345,8 @@ def _equally_likely_paths(pair: Case, copies: int) -> IntArray:
     state = _equally_likely(target.initial[None, :], "initial")[0]
     action_of = _equally_likely(pair.behavior, "behavior")
     rows = target.transitions.toarray()
+    # a row for the actions that cannot be taken, which no path takes
+    rows[~target.available.reshape(-1), 0] = 1.0
     next_of = _equally_likely(rows, "transitions")
     n_choices = action_of.shape[1]
     n_moves = next_of.shape[1]
@@ -524,6 +526,7 @@ def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
         mdp.initial[states],
         mdp.discount,
         layout=layout,
+        available=None if mdp.has_all_actions else mdp.available[old],
     )
     names = ((mdp.state_names, states), (mdp.action_names, actions))
     return new.with_names(

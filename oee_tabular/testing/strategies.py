@@ -21,7 +21,7 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.testing.code import as_code
 from oee_tabular.typing import Array, IntArray, PolicyLike
 
@@ -50,6 +50,7 @@ def mdps(
     discounts: Sequence[float] = (0.0, 0.5, 0.9, 1.0),
     rewards: Sequence[Literal["s", "sa", "sas"]] = REWARDS,
     absorbing: bool | None = None,
+    allow_unavailable: bool = False,
 ) -> st.SearchStrategy[FiniteMDP]:
     """Draw small finite MDPs with probabilities that are easy to read.
 
@@ -69,6 +70,9 @@ def mdps(
     absorbing : bool, optional
         Whether the last state is absorbing with reward 0; None means either. At
         discount 1 it always is, and every row reaches it with positive probability.
+    allow_unavailable : bool, default False
+        Whether there may be actions that cannot be taken in a state
+        (``FiniteMDP.available``).
 
     Returns
     -------
@@ -104,6 +108,7 @@ def mdps(
         raise ArgumentError(
             "min_states", f"must be at most max_states; they are {low} and {high}"
         )
+    _checks.boolean(allow_unavailable, "allow_unavailable")
     most_actions = _checks.positive_integer(max_actions, "max_actions")
     discounts = _checks.collection(discounts, "discounts", "a list of numbers")
     rewards = _checks.collection(rewards, "rewards", "a list of words")
@@ -133,7 +138,16 @@ def mdps(
         if does_end:
             transitions[-1] = np.eye(n)[-1]
             table[-1] = 0
-        return FiniteMDP(transitions, table, draw(_rows(n)), discount)
+        initial = draw(_rows(n))
+        available = np.ones((n, a), dtype=np.bool_)
+        if allow_unavailable:
+            flags = st.lists(st.booleans(), min_size=n * a, max_size=n * a)
+            available[np.reshape(draw(flags), (n, a))] = False
+            # an action is left in each state
+            kept = draw(st.lists(st.integers(0, a - 1), min_size=n, max_size=n))
+            available[np.arange(n), kept] = True
+            transitions[~available] = 0.0
+        return FiniteMDP(transitions, table, initial, discount, available=available)
 
     return draw_mdp()
 
@@ -147,7 +161,7 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     mdp : FiniteMDP
         The model whose states and actions they have.
     zeros : bool, default True
-        False gives every action a chance in every state.
+        False gives every action a chance in every state where it can be taken.
 
     Returns
     -------
@@ -166,11 +180,14 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     """
     _checks.boolean(zeros, "zeros")
     model = _checks.instance(mdp, FiniteMDP, "mdp")
-    row = _rows(model.n_actions, [] if zeros else range(model.n_actions))
 
     @st.composite
     def draw_rows(draw: st.DrawFn) -> list[list[float]]:
-        return [draw(row).tolist() for _ in range(model.n_states)]
+        rows = np.zeros(model.rewards.shape)
+        for chances, can in zip(rows, model.available, strict=True):
+            number = int(np.count_nonzero(can))
+            chances[can] = draw(_rows(number, [] if zeros else range(number)))
+        return [list(map(float, chances)) for chances in rows]
 
     return draw_rows().map(_array)
 
@@ -371,7 +388,7 @@ def logs(
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     if kind is not None:
         _checks.one_of(kind, "kind", KINDS)
-    behavior = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
+    behavior = uniform_policy(model)
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, model, name="behavior_policy")
     n = _checks.positive_integer(max_episodes, "max_episodes")

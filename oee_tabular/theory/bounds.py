@@ -537,6 +537,8 @@ def _check_normalised_pair(
     """Check a pair as ``check_pair`` does, and that the rows of K sum to 1."""
     kernel = check_pair(target, model, ratio)
     sums = row_sums(kernel.transitions).reshape(kernel.n_states, kernel.n_actions)
+    # rows of actions that cannot be taken are empty
+    sums = np.where(kernel.available, sums, 1.0)
     _checks.require_sums_to_one(sums, "model.transitions")
     return kernel
 

@@ -371,7 +371,10 @@ TABLES = [
     (Toy(0, 1, [(1.0, 0, 0.0)]), r"must be \(probability, next state, reward, term"),
     (Toy(0, 1, (1.0, 0, 0.0, False)), r"P\[0\]\[1\]\[0\] must be \(prob.*; it is 1.0"),
     (Toy(P=np.full((2, 2, 2), 0.5)), r"FiniteMDP\(transitions, rewards, initial"),
-    (Toy(0, 1, []), r"P\[0\]\[1\] must be a dict or list with an entry for each outc"),
+    (
+        Toy(0, 1, {}, P={0: {0: []}, 1: {}}),
+        r"P\[0\] must have an action .*; state 0 has",
+    ),
     (Toy(0, 1, 7), r"an entry for each outcome; it is 7"),
     (Toy(0, 1, [(1.0, 2, 0.0, False)]), r"lead to a state in 0..1; it leads to 2"),
     (Toy(0, 1, [(1.0, -1, 0.0, False)]), r"lead to a state in 0..1; it leads to -1"),
@@ -380,15 +383,21 @@ TABLES = [
     (Toy(0, 1, [(1.0, 0, np.inf, False)]), r"must have a finite reward; it has inf"),
     (Toy(0, 1, [(1.0, 0, 0.0, None)]), r"True or False as terminated; it has None"),
     (
-        lacking(action=1),
-        r"P\[1\] must have the actions 0..1; it lacks 1; .*\[1\]\[1\] =",
+        Toy(P=[[Toy().P[0][0]] * 2, [Toy().P[1][0]]]),
+        r"P\[1\] must have the actions 0..1; it lacks 1 .*\[1\]\[1\] = \[\]",
     ),
     (lacking(state=0), r"P must have the states 0..0; it lacks 0; its keys are \[1\]"),
-    (Toy(1, 2, [(1.0, 0, 0.0, False)]), r"the 2 actions 0..1 of every state; it has 3"),
+    (
+        Toy(1, 2, [(1.0, 0, 0.0, False)]),
+        r"P\[1\] must have actions in 0..1; it has 3: \[",
+    ),
     (Toy(P="table"), r"P must be a dict or list with an entry for each state"),
     (Toy(P={}), r"P must be a dict or list with an entry for each state; it is \{\}"),
     (Toy(observation_space=spaces.Discrete(3)), r"P must have the 3 states of env.obs"),
-    (Toy(action_space=spaces.Discrete(3)), r"actions 0..2; it lacks 2"),
+    (
+        Toy(action_space=spaces.Discrete(3)),
+        r"each action 0..2 .* no state has action 2",
+    ),
     (Toy(initial_state_distrib=[1.0]), r"^env.initial_state_distrib must have shape"),
     (
         Toy(initial_state_distrib=[0.5, 0.4]),

@@ -143,9 +143,10 @@ class Peer:
         estimator = self.load()
         episodes = pad_episodes(problem, pi)
         if self.library == "scope-rl":
-            q = action_values(problem.simulator, pi, horizon=problem.horizon)[
-                episodes["state"]
-            ]
+            table = action_values(problem.simulator, pi, horizon=problem.horizon)
+            # -inf is the value of an action that cannot be taken
+            table = np.where(problem.simulator.available, table, 0.0)
+            q = table[episodes["state"]]
             q[~episodes["alive"]] = 0.0
             value = estimator.estimate_policy_value(
                 step_per_trajectory=q.shape[1],
