@@ -5,7 +5,7 @@ Gymnasium is imported when ``FiniteMDP.to_env`` is called, not before.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -13,8 +13,10 @@ from gymnasium import spaces
 
 from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp.finite_mdp import FiniteMDP
 from oee_tabular.typing import Array, BoolArray
+
+if TYPE_CHECKING:
+    from oee_tabular.mdp.finite_mdp import FiniteMDP
 
 MAX_MAP_CELLS = 10_000  # of a map that is drawn as text; other states are named
 
@@ -65,7 +67,6 @@ class FiniteMDPEnv(gymnasium.Env[Any, Any]):
     """
 
     def __init__(self, mdp: FiniteMDP, *, max_steps: int | None = None) -> None:
-        _checks.instance(mdp, FiniteMDP, "mdp")
         if max_steps is not None:
             max_steps = _checks.positive_integer(max_steps, "max_steps")
         self.mdp = mdp

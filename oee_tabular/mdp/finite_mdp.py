@@ -610,12 +610,13 @@ class FiniteMDP:
         ``end`` is the value J: after each transition the model ends with probability 1 -
         gamma. States keep their numbers; the file has others after them.
         """
-        if _files.has_ending(path, (UMB_SUFFIX,)):
+        if _files.has_ending(_files.local(path), (UMB_SUFFIX,)):
             umb = importlib.import_module("oee_tabular.mdp.umb")
             umb.save_umb(self, path, self._own_layout)
             return
         _files.save_npz(path, KIND, self.arrays())
 
+    @suggest_keywords
     def to_env(self, *, max_steps: int | None = None) -> FiniteMDPEnv:
         """Make a Gymnasium environment of the MDP, in which agents can be trained.
 
