@@ -240,10 +240,11 @@ def require_nonnegative(array: Array, name: str) -> None:
         _require(array >= 0, array, name, "be nonnegative; it is {}")
 
 
-def require_sums_to_one(sums: Array, name: str) -> None:
+def require_sums_to_one(sums: Array, name: str, empty_hint: str = "") -> None:
     """Require every sum to be 1 up to the tolerance.
 
-    ``sums`` are the sums of the rows of ``name``.
+    ``sums`` are the sums of the rows of ``name``; ``empty_hint`` is what the error adds
+    where one is 0.
     """
     fine = np.abs(sums - 1.0) <= SUM_TOLERANCE
     if fine.all():
@@ -252,6 +253,8 @@ def require_sums_to_one(sums: Array, name: str) -> None:
     rule = SUM_RULE
     if abs(first - 1.0) <= ROUNDED_TOLERANCE:
         rule += ROUNDED_HINT if sums.ndim else ROUNDED_TOTAL_HINT
+    if first == 0.0:
+        rule += empty_hint
     _require(fine, sums, name, rule, "rows")
 
 

@@ -9,7 +9,8 @@ TABLE = r"""
 # MDPs
 mdp(edited(GOOD, (1, 1), [0.3, 0.67]))  ->  transitions[1, 1] must sum to 1
 mdp(rows(edited(GOOD, (1, 1), [0.3, 0.6])))  ->  transitions[1, 1] must sum to 1
-mdp(rows(edited(GOOD, (1, 0), 0.0)))  ->  transitions[1, 0] must sum to 1
+mdp(rows(edited(GOOD, (1, 0), 0.0)))  ->  transitions[1, 0] must sum to 1 ...; it sums to 0 (...: available=)
+mdp(edited(GOOD, (1, 0), 0.0), available=CAN)  ->  transitions[1, 0] must sum to 1
 mdp(edited(GOOD, (0, 1), [-0.5, 1.5]))  ->  transitions[0, 1, 0] must be nonnegative
 mdp(rows(edited(GOOD, (0, 1), [-0.5, 1.5])))  ->  transitions must be nonnegative; at s=0, a=1 -> s'=0
 mdp(edited(GOOD, (0, 1, 0), np.nan))  ->  transitions[0, 1, 0] must be finite
@@ -32,6 +33,36 @@ mdp(initial=(0.5, 0.4))  ->  initial must sum to 1
 mdp(initial=(1.0,))  ->  initial must have shape (2,)
 mdp(terminal_state=[0, 2])  ->  terminal_state[1] must be in 0..1
 mdp(terminal_state=[0.5])  ->  terminal_state must be 1 to 2 integers
+mdp(available=[[1, 1], [0, 0]])  ->  available[1] must have an action that can be taken; state 1 has none
+mdp(available=[[0, 0], [0, 1]], state_names=["a", "b"])  ->  available[0] must have ...; state a has none
+mdp(available=CAN)  ->  transitions[1, 0] must be zeros where the action cannot be taken; s=1, a=0 has a next state, and
+  available[1, 0] is False
+mdp(rows(GOOD), available=CAN, action_names=["x", "y"])  ->  transitions[1, 0] must be zeros ...; s=1, a=x has
+mdp(available=[[1, 1]])  ->  transitions must be for 1 states and 2 actions, as available is; they are for 2 and 2
+mdp(available=[1, 1])  ->  available must have shape (S, A), a row for each state and a column for each action
+mdp(available=[[1, 2], [1, 1]])  ->  available[0, 1] must be True or False; it is 2
+mdp(available=[[1.0, 0.5], [1, 1]])  ->  available must be True or False; its entries are float64
+mdp(available="all")  ->  available must have shape (S, A)
+FiniteMDP(mdp(LACKING, available=CAN).csr, [0, 1], 0, 0.9)  ->  transitions[1, 0] must sum to 1
+mdp(LACKING, available=CAN).with_transitions(GOOD)  ->  new transitions[1, 0] must be zeros where the action cannot be
+mdp(LACKING, available=CAN).with_transitions(GRID.transitions)  ->  new transitions must be for 2 states and 2 actions
+recycling_robot(alpha=1.5)  ->  alpha must be in [0, 1]
+recycling_robot(beta="often")  ->  beta must be a number
+recycling_robot(rescue_reward=np.inf)  ->  rescue_reward must be
+named_task("recycling_robot:0.5,0.5,0.5")  ->  simulator 'recycling_robot:0.5,0.5,0.5' must be like
+policy_value(recycling_robot(), [2, 1])  ->  policy[0, 2] must be 0, for action recharge cannot be taken in state high
+policy_value(recycling_robot(), lambda state: "recharge")  ->  policy[0, 2] must be 0
+value_range(recycling_robot(), np.full((2, 3), 1 / 3), 0.5, 2)  ->  policy[0, 2] must be 0
+Problem(recycling_robot(), Transitions(["high"], ["recharge"], ["high"]))  ->  log[0] must have an action that can be
+Problem(recycling_robot(), Transitions([0], [0], [0]), behavior_policy=[2, 2])  ->  behavior_policy[0, 2] must be 0
+Problem(recycling_robot(), sparse.coo_array(([1], ([2], [0])), shape=(6, 2)))  ->  counts[2] must have an action that
+sample_transitions(recycling_robot(), np.full((2, 3), 1 / 6), 9, seed=0)  ->  distribution[0, 2] must be 0
+sample_episodes(recycling_robot(), [2, 2], 3, 4, seed=0)  ->  policy[0, 2] must be 0
+plan_data_collection(recycling_robot(), [2, 2], n=9)  ->  policies[0, 2] must be 0
+efficiency_bound(recycling_robot(), [0, 0], np.full((2, 3), 1 / 6))  ->  data_distribution[0, 2] must be 0
+ModelBased().limit(recycling_robot(), mdp(np.full((2, 3, 2), 0.5)), [0, 0])  ->  target must have the simulator's available
+FiniteMDP.from_log(LOG, available=[[1, 1, 1, 1]])  ->  available must have shape (9, 4), of the log's states and actions
+FiniteMDP.from_log(LOG, available=np.eye(9, 4) + np.eye(9, 4, -4) + np.eye(9, 4, -8) == 1)  ->  log[
 GRID.with_layout((2, 4))  ->  layout must be (height, width) with height * width = 9, the number of states
 GRID.with_layout((0, 9))  ->  layout must be (height, width) with height * width = 9
 mdp().with_transitions(GRID.transitions)  ->  new ...transitions must be for 2 states and 2 actions

@@ -25,6 +25,8 @@ import oee_tabular as oee
 from oee_tabular import ContinuousTransitions, FiniteMDP, Transitions
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
+CAN = [[True, True], [False, True]]
+LACKING = np.array([[[0.5, 0.5], [0.0, 1.0]], [[0.0, 0.0], [0.3, 0.7]]])
 PAIR = oee.bench.families()["corridor30"]
 RAGGED = oee.testing.case("ragged")
 RAGGED_PLAN = oee.plan_data_collection(

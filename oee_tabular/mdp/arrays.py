@@ -37,6 +37,7 @@ _SHAPES = (
     "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state"
     " and one action"
 )
+_EMPTY_HINT = " (of an action that cannot be taken: available=)"
 
 
 class Available(NamedTuple):
@@ -178,7 +179,7 @@ def _require_rows(csr: CsrArrays, available: Available | None) -> None:
         is_filled = available.sums(is_filled.reshape(n_states, -1))
     if not is_filled.all():
         sums = is_filled.reshape(n_states, -1).astype(np.float64)
-        _checks.require_sums_to_one(sums, "transitions")
+        _checks.require_sums_to_one(sums, "transitions", _EMPTY_HINT)
 
 
 def _check_dense_transitions(
@@ -199,7 +200,7 @@ def _check_dense_transitions(
     sums = dense.sum(axis=2)
     if available is not None:
         sums = available.sums(sums)
-    _checks.require_sums_to_one(sums, "transitions")
+    _checks.require_sums_to_one(sums, "transitions", _EMPTY_HINT)
     return CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
 
 
@@ -231,7 +232,7 @@ def _check_sparse_transitions(
         sums = row_sums(matrix)
         if available is not None:
             sums = available.sums(sums.reshape(-1, n_actions)).reshape(-1)
-    _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions")
+    _checks.require_sums_to_one(sums.reshape(-1, n_actions), "transitions", _EMPTY_HINT)
     return CsrArrays.from_matrix(matrix)
 
 

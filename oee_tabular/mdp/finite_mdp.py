@@ -200,6 +200,7 @@ class FiniteMDP:
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
+    has_all_actions: bool
     # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined; None for r(s, a)
     _reward_table: Array | Csr | None
     _own_layout: Array | None  # as given, without the names' coordinates
@@ -258,6 +259,7 @@ class FiniteMDP:
             sampling=sampling,
             _reward_table=table,
             _own_layout=own,
+            has_all_actions=mask is None,
             _available=mask,
         )
 
@@ -312,11 +314,6 @@ class FiniteMDP:
     def _available_pairs(self) -> str:
         """Return how many pairs can be taken, "5 of 6"."""
         return f"{np.count_nonzero(self.available)} of {self.rewards.size}"
-
-    @property
-    def has_all_actions(self) -> bool:
-        """Return whether all actions can be taken in all states."""
-        return self._available is None
 
     @cached_property
     def available(self) -> BoolArray:

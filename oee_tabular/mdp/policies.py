@@ -124,6 +124,8 @@ def check_policy(
     if is_float_array and given.shape in shapes:
         array = np.array(given, order="C")
         if _are_distributions(array):
+            if has_all_actions(mdp):
+                return array
             return require_available(array, mdp, name)
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         given = policy_table(policy, mdp, name)
@@ -388,7 +390,8 @@ def read_policy_array(path: str, name: str) -> Array:
 
 def has_all_actions(mdp: object) -> bool:
     """Say whether each action can be taken in each state of a model."""
-    return bool(getattr(mdp, "has_all_actions", True))
+    has: bool = getattr(mdp, "has_all_actions", True)
+    return has
 
 
 def require_sized(mdp: object) -> None:

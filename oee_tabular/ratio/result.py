@@ -78,12 +78,17 @@ class TransitionRatio:
     tied: bool = False
     _influence: Influence | None = field(default=None, repr=False)
 
+    @property
+    def _n_pairs(self) -> int:
+        """Return the number of state-action pairs that can be taken."""
+        return int(np.count_nonzero(np.diff(self.values.indptr)))
+
     def __repr__(self) -> str:
         """Return one line about the ratio."""
         data = self.values.data
         return (
             f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g}"
-            f" to {data.max():.4g}, {int(self.visited.sum())} of {self.visited.size}"
+            f" to {data.max():.4g}, {int(self.visited.sum())} of {self._n_pairs}"
             f" pairs recorded, gap {self.gap:.1e}, row-sum error"
             f" {self.row_sum_error:.1e})"
         )
@@ -94,7 +99,7 @@ class TransitionRatio:
         rows = [
             ("method", self.method),
             ("values", f"{len(data)}, from {data.min():.4g} to {data.max():.4g}"),
-            ("pairs recorded", f"{int(self.visited.sum())} of {self.visited.size}"),
+            ("pairs recorded", f"{int(self.visited.sum())} of {self._n_pairs}"),
             ("largest gap (nats)", f"{self.gap:.1e}"),
             ("row-sum error", f"{self.row_sum_error:.1e}"),
         ]

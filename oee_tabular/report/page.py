@@ -258,6 +258,8 @@ class Portrait:
         simulator as the log corrects it; they sum to 1.
     map : Map or None
         Where the states lie.
+    available : ndarray of bool of shape (S, A)
+        Which actions can be taken in each state.
     """
 
     names: Names
@@ -265,6 +267,7 @@ class Portrait:
     over: BoolArray
     time: Mapping[str, Array]
     map: plots.Map | None
+    available: BoolArray
 
     @property
     def alive(self) -> int:
@@ -279,7 +282,8 @@ class Portrait:
     @property
     def missing_pairs(self) -> int:
         """Return how many of the pairs of these states were never recorded."""
-        return int((self.changes.counts[~self.over] == 0).sum())
+        never = (self.changes.counts == 0) & self.available
+        return int(never[~self.over].sum())
 
     def unrecorded(self, policy: str) -> Array:
         """Return the part (S,) of a policy's time in unrecorded pairs of each state."""
@@ -415,6 +419,7 @@ def portray(
         over,
         times,
         places,
+        simulator.available,
     )
 
 
