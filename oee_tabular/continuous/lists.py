@@ -7,12 +7,13 @@ last frame has no successor, and is no transition.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import stem
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.labels import (
@@ -26,6 +27,7 @@ from oee_tabular.data.rules import MOVE, check_table
 from oee_tabular.data.tables import (
     MAX_COLUMNS,
     PARQUET,
+    TAIL_BYTES,
     fill_missing,
     open_duckdb,
     quote_label,
@@ -63,6 +65,8 @@ def find_lists(
 
     ``columns``: what the file calls a log's columns.
     """
+    if not _may_have_lists(path):
+        return None
     with open_duckdb(path) as run:
         described = run(f"DESCRIBE SELECT * FROM {PARQUET}").fetchall()
     types = {row[0]: str(row[1]) for row in described}
@@ -113,6 +117,18 @@ def read_lists(form: Format, path: str, reported: set[Any]) -> Columns | None:
     warn_read_as(repr(path), renamed)
     warn_left_out(path, unknown)
     return form.from_table(values, path)
+
+
+def _may_have_lists(path: str) -> bool:
+    """Say whether a file's end names what parquet calls lists.
+
+    DuckDB's look at the columns takes as long as reading a small log.
+    """
+    with _files.open_regular(path) as handle:
+        n_bytes = handle.seek(0, os.SEEK_END)
+        handle.seek(max(0, n_bytes - TAIL_BYTES))
+        tail = handle.read()
+    return any(mark in tail for mark in (b"list", b"array", b"bag"))
 
 
 def _group(matching: Matching) -> dict[str, list[Any]]:

@@ -6,7 +6,7 @@ import tarfile
 
 import numpy as np
 import pytest
-from helpers import random_mdp
+from helpers import random_mdp, run_command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
@@ -108,6 +108,26 @@ def test_the_same_mdp_makes_the_same_bytes(tmp_path):
     for name in ("a.umb", "b.UMB"):
         mdp.save(tmp_path / name)
     assert (tmp_path / "a.umb").read_bytes() == (tmp_path / "b.UMB").read_bytes()
+
+
+def test_the_command_writes_and_reads_it(tmp_path, capsys):
+    path, log = str(tmp_path / "m.umb"), str(tmp_path / "log.npz")
+    assert run_command("export", "gridworld:3,slip=0.3", "--output", path) == 0
+    assert_same(oee.tasks.gridworld(3, 0.3), oee.FiniteMDP.load(path))
+    grid = oee.tasks.gridworld(3, 0.3)
+    oee.sample_episodes(grid, oee.uniform_policy(grid), 5, 20, seed=0).save(log)
+    words = (
+        "--simulator",
+        path,
+        "--log",
+        log,
+        "--policy",
+        "uniform",
+        "--discount",
+        "0.9",
+    )
+    assert run_command("evaluate", *words) == 0
+    assert "discount 0.9" in capsys.readouterr().out
 
 
 def total_reward(path, name="reward"):
