@@ -92,9 +92,9 @@ def test_all_that_an_mdp_knows_comes_back(tmp_path):
     named = oee.tasks.gridworld(2, 0.1).with_names(
         ["héllo", (1, 2), ("a", 3), "d"], ["up", ("x", 1), "left", "right"]
     )
-    assert_same(
-        named, there_and_back(named.with_layout((2, 2)), tmp_path).with_layout(None)
-    )
+    for layout in ((2, 2), [0.5, 1.0, 2.0, 1e-300], None):
+        placed = named.with_layout(layout)
+        assert_same(placed, there_and_back(placed, tmp_path))
     undefined = np.full((2, 1, 2), np.nan)
     undefined[0, 0], undefined[1, 0, 1] = [1.0, 2.0], 3.0
     wider = oee.FiniteMDP([[[0.0, 1.0]], [[0.0, 1.0]]], undefined, 0, 0.5)
