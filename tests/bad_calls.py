@@ -347,6 +347,12 @@ from_env(LAKE, action_names=["a", "b", "c", "a"])  ->  action_names must differ;
 from_env(LAKE, discount=2)  ->  discount must be in [0, 1]
 record_episodes("FrozenLake-v1", [0] * 16, n_episodes=1)  ->  env must be a Gymnasium environment; got str (gymnasium.make(
 record_episodes(make_environment("Blackjack-v1"), [0], n_episodes=1)  ->  env.observation_space must be Discrete; it is
+GRID.to_env(max_steps=0)  ->  max_steps must be a positive integer; it is 0
+GRID.to_env(max_steps=2.5)  ->  max_steps must be a positive integer; got 2.5
+GRID.to_env(10)  ->  ...to_env() takes 1 positional argument
+GRID.to_env(maxsteps=10)  ->  to_env() got an unexpected keyword argument 'maxsteps'. Did you mean 'max_steps'?
+FiniteMDP.load("sim.npz", until="end")  ->  until must be left out for a file that does not end in .umb; got 'end'
+FiniteMDP.load("sim.npz", rewards="r")  ->  load() got an unexpected keyword argument 'rewards'. Did you mean 'reward'?
 GRID.with_support_of(LOG, 2)  ->  epsilon must be in (0, 1)
 GRID.with_support_of(pd.DataFrame({"state": [0]}), 0.1)  ->  log must be Transitions
 HALL.with_support_of(LOG, 0.1)  ->  log.state[...] must be in 0..2, the simulator's

@@ -435,10 +435,13 @@ def own_values(known):
             strict=True,
         )
     )
+    # of .umb files by others
+    files["FiniteMDP.load"] |= dict.fromkeys(("reward", "success", "until"))
     own = {
         "Report.legend": {"rows": known["holders"]["Report"].records()},
         "ContinuousTransitions.concatenate": {"logs": [moves, moves]},
         "FiniteMDP.from_env": {"max_steps": 100},
+        "FiniteMDP.to_env": {"max_steps": 100},
         "TransitionCounts.led_to": {
             "next_state": known["holders"]["TransitionCounts"].next_state
         },

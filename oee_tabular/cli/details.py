@@ -34,6 +34,7 @@ DETAILS: dict[str, dict[str, str]] = {
     "SIM": {
         "gridworld:10,slip=0.3": "A built-in task with its arguments.",
         "FILE.npz": "A saved FiniteMDP.",
+        "FILE.umb": "A model of PRISM or Storm, or a saved FiniteMDP.",
         "FrozenLake-v1:map_name=8x8": "A Gymnasium id with its arguments.",
         "MODULE:OBJECT,key=value": (
             "Your own FiniteMDP or Gymnasium environment with a table P, or what makes"

@@ -265,7 +265,7 @@ def export(
         typer.Option(
             "--output",
             metavar="FILE",
-            help="The FiniteMDP as .npz.",
+            help="The FiniteMDP as .npz, or as .umb for PRISM and Storm.",
             rich_help_panel=OUTPUT,
         ),
     ],
@@ -278,7 +278,8 @@ def export(
     made from. A table (.csv, .parquet) of samples is written by its frequencies, and
     one with a column probability as it is.
     """
-    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npz",))
+    endings = oee.tasks.MDP_ENDINGS
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
     discretization: Any = None
     if is_table(simulator):
         if samples_per_pair is not None:
@@ -299,7 +300,8 @@ def export(
         mdp, discretization = task.mdp, task.discretization
     mdp = mdp.with_action_noise(action_noise) if action_noise else mdp
     saved: Any = mdp
-    if discretization is not None and not action_noise and initial is None:
+    is_plain = bool(action_noise) or initial is not None or output.suffix != ".npz"
+    if discretization is not None and not is_plain:
         saved = discretization
     with file.writing():
         saved.save(output)

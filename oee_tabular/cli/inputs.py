@@ -63,7 +63,8 @@ def task_of(
     _progress.report_step(f"reading the simulator {spec}")
     if samples is not None:
         _checks.positive_integer(samples, "samples_per_pair")
-    is_file = Path(spec).suffix.lower() == ".npz" and Path(spec).is_file()
+    is_mdp = Path(spec).suffix.lower() in oee.tasks.MDP_ENDINGS
+    is_file = is_mdp and Path(spec).is_file()
     if (is_own(spec) and not is_file) or samples is not None:
         with own_modules():
             make = _maker(spec)

@@ -125,6 +125,10 @@ class Format:
         """Return the columns of a log from those of the table ``name``."""
         return columns
 
+    def read_lists(self, file: LogFile, reported: set[Any]) -> Columns | None:
+        """Return the columns of a file whose states are lists; None of another one."""
+        return None
+
     def require(
         self, labels: Iterable[str], name: str, taken: Iterable[str] | None = None
     ) -> None:
@@ -223,7 +227,9 @@ def load(
             )
         columns = _load_npz(form, file, name)
     elif file.suffix in (".csv", ".parquet"):
-        columns = _load_table(form, file, name, reported, names)
+        columns = form.read_lists(file, reported) or _load_table(
+            form, file, name, reported, names
+        )
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode, form.columns, reported)
     else:

@@ -488,9 +488,9 @@ def sum_groups(
             for start, stop in (spans if n_ends else ())
         ]
     return (
-        {label: _fill_missing(column) for label, column in groups.items()},
+        {label: fill_missing(column) for label, column in groups.items()},
         [
-            {label: _fill_missing(column) for label, column in part.items()}
+            {label: fill_missing(column) for label, column in part.items()}
             for part in found
         ],
     )
@@ -514,12 +514,12 @@ def _read_parquet(
             stop = min(start + N_PARQUET_ROWS, n_rows)
             some = which.format(start=start, stop=stop, size=stop - start)
             found = run(f"SELECT {columns} FROM {source} {some}").fetchnumpy()
-            values = [_fill_missing(column) for column in found.values()]
+            values = [fill_missing(column) for column in found.values()]
             piece = dict(zip(chosen, values, strict=True))
             yield Piece(piece, np.arange(start, stop), {})
 
 
-def _fill_missing(column: Any) -> Column:
+def fill_missing(column: Any) -> Column:
     """Return a column of DuckDB's with nan or None for missing values."""
     if not np.ma.is_masked(column):
         return np.asarray(np.ma.getdata(column))

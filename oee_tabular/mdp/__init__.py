@@ -45,6 +45,8 @@ are alike.
 - ``environments``: what a Gymnasium environment is, and the numbers that it gives
 - ``rows``: sums, means and exponential tilts over the rows of P; displacements
 - ``files``: the arrays of an npz file
+- ``umb``, ``umb_files``: the .umb files of model checkers
+- ``env``: the MDP as a Gymnasium environment
 - ``horizons``: how many steps of a horizon a discount leaves visible
 """
 

@@ -55,6 +55,9 @@ from oee_tabular.typing import (
 if TYPE_CHECKING:
     from gymnasium import Env
 
+    from oee_tabular.mdp.env import FiniteMDPEnv
+
+UMB_SUFFIX = ".umb"  # PRISM's and Storm's format
 KIND = "finite_mdp"
 
 # a sparse matrix (S*A, S), or one (S, S) for each action
@@ -581,18 +584,83 @@ class FiniteMDP:
         return self._replace(**add_support(self, log, epsilon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the MDP to an npz file of plain arrays.
+        """Write the MDP to an npz file, or to a .umb file, which model checkers read.
 
         Parameters
         ----------
         path : path_like
-            The file; it appears whole or not at all.
+            The file; it appears whole or not at all. One whose name ends in .umb has
+            the format of PRISM and Storm (extra ``umb``), any other that of npz.
+
+        Raises
+        ------
+        ImportError
+            If umbi is not installed, for a .umb file.
 
         See Also
         --------
         load : Read the file.
+
+        Notes
+        -----
+        Model checkers know no discount. In a .umb file the total reward until the label
+        ``end`` is the value J: after each transition the model ends with probability 1 -
+        gamma. States keep their numbers; the file has others after them.
         """
+        if _files.has_ending(_files.local(path), (UMB_SUFFIX,)):
+            umb = importlib.import_module("oee_tabular.mdp.umb")
+            umb.save_umb(self, path, self._own_layout)
+            return
         _files.save_npz(path, KIND, self.arrays())
+
+    @suggest_keywords
+    def to_env(self, *, max_steps: int | None = None) -> FiniteMDPEnv:
+        """Make a Gymnasium environment of the MDP, in which agents can be trained.
+
+        Parameters
+        ----------
+        max_steps : int, optional
+            The number of steps after which an episode is truncated. None means that only
+            a terminal state ends it.
+
+        Returns
+        -------
+        gymnasium.Env
+            The environment.
+
+        Raises
+        ------
+        ValueError
+            If ``max_steps`` is no positive integer.
+
+        See Also
+        --------
+        from_env : Estimate the MDP of an environment.
+        from_gymnasium : Read the MDP of an environment's table.
+
+        Notes
+        -----
+        Observations and actions are the numbers of states and actions. ``reset(seed=)``
+        decides all that follows. ``info["action_mask"]`` says which actions the state
+        has (1 or 0), as Gymnasium's Taxi does; ``action_space.sample()`` draws one of
+        them, and a step with another one is an error. ``info["state_name"]`` and
+        ``info["action_name"]`` are the names, where there are any. ``render()`` returns
+        text: a map where the layout is a grid. Rewards are not discounted: give the
+        agent ``mdp.discount``.
+
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> env = oee.tasks.gridworld(3, 0.1).to_env(max_steps=50)
+        >>> state, info = env.reset(seed=0)
+        >>> print(env.render())
+        @..
+        ...
+        ..T
+        """
+        env = importlib.import_module("oee_tabular.mdp.env")
+        made: FiniteMDPEnv = env.FiniteMDPEnv(self, max_steps=max_steps)
+        return made
 
     def arrays(self) -> dict[str, Any]:
         """Return the arrays that a file of the MDP holds.
@@ -605,13 +673,30 @@ class FiniteMDP:
         return file_arrays(self, self._own_layout)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read an MDP that ``save`` wrote, with the same checks as in the constructor.
+    @suggest_keywords
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        reward: str | None = None,
+        success: str | None = None,
+        until: str | None = None,
+    ) -> Self:
+        """Read an MDP that ``save``, PRISM or Storm wrote, and check its arrays.
 
         Parameters
         ----------
         path : path_like
-            The npz file.
+            The npz file, or a .umb file (extra ``umb``).
+        reward : str, optional
+            Of a .umb file by another program, the rewards to read. None means its only
+            ones.
+        success : str, optional
+            Of such a file, a label in place of rewards: entering one of its states pays
+            1. The value is then the probability of getting there.
+        until : str, optional
+            Of such a file, the label of the states where all is over; they become
+            terminal. None means those of ``success``, or none.
 
         Returns
         -------
@@ -621,8 +706,33 @@ class FiniteMDP:
         Raises
         ------
         ValueError
-            If the file is no FiniteMDP, or is damaged.
+            If the file is no FiniteMDP, or is damaged; if a .umb file holds another kind
+            of model (a POMDP, a game, continuous time, intervals, parameters), or has no
+            such rewards or label.
+        ImportError
+            If umbi is not installed, for a .umb file.
+
+        Notes
+        -----
+        Of a .umb file by another program the discount is 1 (``with_discount``). Rewards
+        of states, choices and branches add up to r(s, a, s'). An action is a choice's
+        action; where a state has several choices of one action, actions are the first,
+        second, ... choice of each state. What a state lacks is not ``available``. Names
+        of states are the values of their variables.
         """
+        options = {"reward": reward, "success": success, "until": until}
+        if _files.has_ending(_files.local(path), (UMB_SUFFIX,)):
+            umb = importlib.import_module("oee_tabular.mdp.umb")
+            arguments = umb.load_umb(path, **options)
+            with _files.parts_of(path, "a FiniteMDP"):
+                return cls(**arguments)
+        for name, value in options.items():
+            if value is not None:
+                raise ArgumentError(
+                    name,
+                    f"must be left out for a file that does not end in {UMB_SUFFIX};"
+                    f" got {_checks.show(value)}",
+                )
         hint = (
             "make one with FiniteMDP(transitions, rewards, initial,"
             " discount).save(path)"

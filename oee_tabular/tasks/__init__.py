@@ -17,6 +17,7 @@ from oee_tabular.tasks.gridworld import (
 )
 from oee_tabular.tasks.recycling_robot import recycling_robot
 from oee_tabular.tasks.specs import FINITE as FINITE
+from oee_tabular.tasks.specs import MDP_ENDINGS as MDP_ENDINGS
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 

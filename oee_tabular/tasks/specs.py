@@ -1,6 +1,7 @@
 """Simulators by name, as on the command line.
 
-For example ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8`` or ``file.npz``.
+For example ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz`` or
+``file.umb``.
 Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``,
 which is imported where one may be named.
 """
@@ -32,6 +33,7 @@ else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded o
     ContinuousSimulator: TypeAlias = Any
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
+MDP_ENDINGS = (".npz", ".umb")  # of files that FiniteMDP.load reads
 FINITE = ("gridworld", "recycling_robot")
 
 
@@ -86,7 +88,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task
         of ours ("gridworld", "recycling_robot"; "cartpole" on its default grid), a Gymnasium id with a
         toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its
-        grid); or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
+        grid); or the path of a file that ``FiniteMDP.load`` reads. Values are Python
         literals or words.
     discount : float, optional
         The discount, in [0, 1]. None means the task's own.
@@ -116,7 +118,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """
     name, _, rest = _checks.instance(spec, str, "spec").partition(":")
     given = {} if discount is None else {"discount": discount}
-    if Path(spec).suffix.lower() == ".npz":
+    if Path(spec).suffix.lower() in MDP_ENDINGS:
         mdp = FiniteMDP.load(spec)
         if discount is not None:
             mdp = mdp.with_discount(discount)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
+from oee_tabular.continuous.lists import find_lists, read_lists
 from oee_tabular.data.aliases import NUMBERED, stem
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
@@ -95,6 +96,15 @@ class VectorFormat(Format):
             )
         return columns
 
+    def read_lists(self, file: LogFile, reported: set[Any]) -> Columns | None:
+        """Return the columns of parquet whose states are lists; None of another file.
+
+        Such are the frames of LeRobot's data sets.
+        """
+        if file.suffix != ".parquet" or file.fixed:
+            return None
+        return read_lists(self, file.path, reported)
+
     def require(
         self, labels: Iterable[str], name: str, taken: Iterable[str] | None = None
     ) -> None:
@@ -150,6 +160,8 @@ def holds_states(
         return _files.npz_kind(_files.read_npz(name)) == VECTORS.kind
     if suffix in (".csv", ".parquet"):
         try:
+            if suffix == ".parquet" and find_lists(name, columns or {}):
+                return True
             said = {
                 field: label
                 for field, label in (columns or {}).items()
