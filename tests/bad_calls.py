@@ -623,6 +623,9 @@ plan(STIFF, model=GRID)  ->  model must stay in the simulator's support: ...s=0,
 plan(GRID, restart=0.1)  ->  restart must be left out with sampling 'free'
 plan(GRID, sampling="behavior", restart=1.0)  ->  restart must be in (0, 1)
 plan(GRID, sampling="behavior", restart=1 - 1e-9)  ->  restart must let episodes reach ...; at 1 what
+plan(GRID, minus=UNIFORM[:3])  ->  minus must have shape (9, 4) (states, actions)
+plan(GRID, minus=0.5 * UNIFORM)  ->  minus[0] must sum to 1
+plan(P, minus={"a": UNIFORM, "b": UNIFORM})  ->  minus
 plan(GRID, lower_ratio=1.5)  ->  the box [lower_ratio, upper_ratio] must contain 1
 
 # sampling and tasks

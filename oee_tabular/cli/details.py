@@ -178,8 +178,8 @@ JSON_KEYS = {
         " (best first), differences (from the best), warnings"
     ),
     "plan": (
-        "version, sampling, n, confidence, status, gap, policies, most, advice, next,"
-        " file"
+        "version, sampling, n, quantity (value or gain), confidence, status, gap,"
+        " policies, most, advice, next, file"
     ),
     "sample": "version, file, transitions, episodes",
     "policy": "version, file, states, actions",

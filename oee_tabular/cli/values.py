@@ -16,6 +16,7 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import (
     count_log_files,
     policies_of,
+    policy_of,
     read_box,
     read_columns,
     read_entries,
@@ -713,6 +714,15 @@ def plan(
     ],
     column: ColumnOption = None,
     policy: PoliciesOption = None,
+    minus: Annotated[
+        str | None,
+        typer.Option(
+            "--minus",
+            metavar="SPEC",
+            help="Policy that runs now: plan for the gains over it, not for the values.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     impossible: ImpossibleOption = "refuse",
@@ -776,6 +786,8 @@ def plan(
         column=column,
     )
     policies = policies_of(policy, task)
+    if minus is not None:
+        asked["minus"] = policy_of(minus, task, "--minus")
     _progress.report_step(f"plan for {transitions} transitions")
     made = oee.plan_data_collection(
         problem,
