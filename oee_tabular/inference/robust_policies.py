@@ -41,7 +41,6 @@ from oee_tabular._parallel import dot, one_thread
 from oee_tabular._results import checked
 from oee_tabular.exact import (
     Model,
-    largest_reward,
     optimal_policy,
     policy_system,
     reached_states,
@@ -256,9 +255,7 @@ def _back_up(evidence: Evidence, values: Array, p: Array) -> Backup:
     shape = model.rewards.shape
     n_roundings = int(np.diff(rows.indptr).max()) + 4
     rounding = n_roundings * np.finfo(float).eps * float(np.abs(ahead).max())
-    return Backup(
-        -bound.reshape(shape), rows.sums(p * ahead).reshape(shape) + rounding
-    )
+    return Backup(-bound.reshape(shape), rows.sums(p * ahead).reshape(shape) + rounding)
 
 
 def _settle(evidence: Evidence, p: Array, left_out: BoolArray) -> tuple[Array, Backup]:
@@ -347,7 +344,7 @@ def _find_ending_actions(
     probability in every model, to those that are there; the ends are there first.
     """
     rows = evidence.rows
-    actions = allowed.argmax(axis=1)
+    actions: IntArray = allowed.argmax(axis=1)
     is_done = is_end.copy()
     while True:
         is_away = ~is_done[rows.arrival]
@@ -358,7 +355,7 @@ def _find_ending_actions(
         is_new = leading.any(axis=1)
         if not is_new.any():
             return actions
-        actions = np.where(is_new, leading.argmax(axis=1), actions)
+        actions[is_new] = leading.argmax(axis=1)[is_new]
         is_done |= is_new
 
 

@@ -38,7 +38,9 @@ def iterate_values(mdp, nu, mu, horizon=None):
     steps = horizon
     if steps is None:
         # the last change is below 1e-13 of the values
-        steps = 1 if mdp.discount == 0 else int(np.log(1e-14) / np.log(mdp.discount)) + 2
+        steps = (
+            1 if mdp.discount == 0 else int(np.log(1e-14) / np.log(mdp.discount)) + 2
+        )
     for _ in range(steps):
         values = worst_rows(P, r + mdp.discount * values, nu, mu).max(axis=1)
     return values
