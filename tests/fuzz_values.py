@@ -288,6 +288,7 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
         oee.evaluate(problem, uniform, quick=True),
         oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9),
         oee.sample_returns(target, uniform, 9, 5, seed=0),
+        oee.robust_policy(simulator, 0.5, 2.0),
     ]
     values += [
         values[13].results[0],
