@@ -15,7 +15,7 @@ and in it no policy is worth more than V by more than what it may gain at each s
     epsilon = max_{s, a} [r(s, a) + gamma sum_s' P*(s' | s, a) V(s')] - V(s),
 
 summed over time: epsilon / (1 - gamma). Over a horizon it is the sum of the steps' own
-epsilons. At discount 1 it is epsilon mu_0 . h for any h >= 0 with
+epsilons. At discount 1 it is epsilon max h for any h >= 0 with
 
     epsilon [P* h](s, a) - epsilon h(s) <= V(s) - [r + P* V](s, a)     for each (s, a),
 
@@ -362,8 +362,9 @@ def _find_ending_actions(
 def _bound_by_times(evidence: Evidence, found: Found, is_end: BoolArray) -> float:
     """Bound by how much a policy that ends can be better than the one found.
 
-    epsilon mu_0 . h, h (S,) the longest expected time to an end by the policy's actions
-    and those that are not worse by more than h would allow; inf if it is infinite.
+    The bound is epsilon max h, h (S,) the longest expected time to an end by the
+    policy's actions and those that are worse by less than what h adds; inf if that time
+    is infinite.
     """
     simulator = evidence.model
     rows = evidence.rows
