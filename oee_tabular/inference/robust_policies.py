@@ -259,15 +259,36 @@ def _back_up(evidence: Evidence, values: Array, p: Array) -> Backup:
 
 
 def _settle(evidence: Evidence, p: Array, left_out: BoolArray) -> tuple[Array, Backup]:
-    """Compute the policy's worst values (S,), and one step from them."""
+    """Compute the policy's worst values (S,), and one step from them.
+
+    Only the rows that the policy takes are solved until the values settle, which is
+    most of the time.
+    """
     policy = evidence.policy
-    values, *_ = settle_values(
+    taken = evidence.rows.select(policy.reshape(-1) > 0.0)
+    entries = taken.entries
+    own = replace(
         evidence,
-        p,
-        -1.0,
-        left_out,
-        lambda values: (policy * _back_up(evidence, values, p).least).sum(axis=1),
+        rows=taken,
+        phat=evidence.phat[entries],
+        n=evidence.n[taken.number],
+        low=evidence.low[entries],
+        high=evidence.high[entries],
     )
+    rewards = evidence.transition_rewards[entries]
+    least = np.zeros(policy.shape)
+
+    def back_up(values: Array) -> Array:
+        """Return (S,) the least mean of r + gamma V, and write the rows into ``p``."""
+        worst = p[entries]
+        ahead = rewards + evidence.model.discount * values[taken.arrival]
+        free = np.full(len(own.n), np.inf)
+        bound, _ = solve_rows(own, free, -ahead, np.zeros(len(free)), worst)
+        p[entries] = worst
+        least.reshape(-1)[taken.number] = -bound
+        return np.asarray((policy * least).sum(axis=1))
+
+    values, *_ = settle_values(evidence, p, -1.0, left_out, back_up)
     return values, _back_up(evidence, values, p)
 
 

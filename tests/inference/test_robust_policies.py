@@ -320,5 +320,4 @@ def test_it_is_what_storm_finds(name, tmp_path):
     )
     storm = result.get_value(model.initial_states[0]) - added / (1 - simulator.discount)
     found = oee.robust_policy(simulator, nu, mu)
-    print(name, found.value / storm - 1.0)
     assert_allclose(found.value, storm, rtol=1e-7)
