@@ -142,6 +142,7 @@ def valid_values():
         "values_of": None,
         "policy": uniform,
         "behavior_policy": uniform,
+        "minus": uniform,
         "policy_a": uniform,
         "policy_b": expert,
         "weight_of_a": 0.5,
@@ -295,6 +296,7 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
         oee.evaluate(problem, uniform, quick=True),
         oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9),
         oee.sample_returns(target, uniform, 9, 5, seed=0),
+        oee.robust_policy(simulator, 0.5, 2.0),
     ]
     values += [
         values[13].results[0],
