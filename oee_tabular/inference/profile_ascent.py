@@ -35,6 +35,7 @@ Off-policy confidence interval estimation, NeurIPS 2020.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -53,6 +54,7 @@ from oee_tabular.inference._likelihood import (
 )
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.robust import order_by_row
+from oee_tabular.inference.vertices import change_rows
 from oee_tabular.mdp import optional_horizon_length
 from oee_tabular.typing import (
     Array,
@@ -83,6 +85,13 @@ SAME_ROWS = 0.02
 # what a solve may leave of it in large problems
 WARM_SOLVE_TOLERANCE = 1e-3
 COLD_SOLVE_TOLERANCE = 1e-9  # the same, where no previous rows are near
+# local ends of a gain that are left by changes of single rows, and how often each
+MAX_POLISHED = 6
+MAX_POLISHES = 10
+# of the distance from the reference: what a farther end must add
+LEAST_TURN = 1e-7
+MAX_TURNS = 40  # ascents from directions that turn one row
+MAX_TURN_WORK = 10**6  # entries, times steps of a value, times directions
 MAX_ITERATIONS = 200  # of an ascent; ten are usual
 # iterations in a row that move the end by less than a share ``tolerance`` of its
 # distance from the reference, after which an ascent ends
@@ -215,6 +224,15 @@ class PolicyRows:
         return np.asarray(self.n[self.row] > 0)
 
     @cached_property
+    def weighted(self) -> Array:
+        """Return an array (rows,) above 0 where a gradient is weighted by the time.
+
+        For one policy the time does not matter in rows without data, and r + gamma V
+        does not vanish where it is 0. Of two policies it says which one counts.
+        """
+        return self.n if len(self.parts) == 1 else np.ones_like(self.n)
+
+    @cached_property
     def without_data(self) -> IntArray:
         """Return the entries of rows without data, in the order of the rows."""
         return np.flatnonzero(~self.has_data)
@@ -266,6 +284,11 @@ class PolicyRows:
     def sums(self, values: Array) -> Array:
         """Sum the entries of each row."""
         return np.add.reduceat(values, self.indptr[:-1])
+
+    @property
+    def may_mix(self) -> bool:
+        """Return whether rows without data may be best mixed; J alone is monotone."""
+        return self.n_steps > 0 or len(self.parts) > 1
 
     @property
     def is_sparse(self) -> bool:
@@ -328,7 +351,7 @@ class Ascent:
         self.slack = VALUE_TOLERANCE * min(self.change, width)
         share = min(max(self.slack / width, LIMIT_TOLERANCE), 1e-3)
         trial, self.tau, reached = best_rows(rows, self.x, self.limit, share, self.tau)
-        if rows.n_steps and self.step < 1.0:
+        if rows.may_mix and self.step < 1.0:
             trial = blend(rows, self.step, trial, self.p)
         return trial, reached
 
@@ -480,16 +503,26 @@ def _find_end(
         found.append(ascent)
     found.sort(key=lambda ascent: -sign * ascent.value)
     ends: list[Ascent] = []
+    contending = CONTENDING_SHARE
+    is_polished = minus is not None and not is_large
+    if is_polished:
+        contending = np.inf
     for ascent in found:
         behind = sign * (found[0].value - ascent.value)
-        distance = CONTENDING_SHARE * abs(found[0].value - base.value)
+        distance = contending * abs(found[0].value - base.value)
         is_known = any(
             float(np.abs(ascent.p - other.p).max()) <= SAME_ROWS for other in ends
         )
         if ends and (behind > distance or is_known or is_large):
             continue
+        if len(ends) >= MAX_POLISHED and is_polished:
+            break
         is_final &= _ascend(rows, ascent, END_TOLERANCE, watch)
+        if is_polished:
+            _polish(rows, ascent, watch)
         ends.append(ascent)
+    if is_polished and not watch.is_over:
+        ends.append(_turn_rows(rows, base, max(ends, key=_by(sign)), watch))
     end = max(ends, key=lambda ascent: sign * ascent.value, default=base)
     _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
     best, _, _ = best_rows(rows, sign * end.slope, end.limit, LIMIT_TOLERANCE, 0.0)
@@ -570,16 +603,97 @@ def _ascend(rows: PolicyRows, ascent: Ascent, tolerance: float, watch: Watch) ->
     return True
 
 
+def _polish(rows: PolicyRows, ascent: Ascent, watch: Watch) -> None:
+    """Leave local ends of a gain by changes of single rows, and ascend again."""
+    for _ in range(MAX_POLISHES):
+        trial = _begin(rows, ascent.p)
+        p, better = change_rows(
+            rows,
+            ascent.p,
+            ascent.sign,
+            trial.slope,
+            abs(ascent.value - ascent.reference),
+            lambda p: _begin(rows, p).value,
+        )
+        if better == 0.0:
+            return
+        ascent.p = p
+        ascent.value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
+        ascent.gradient = ascent.sign * ascent.slope
+        # rows without data begin anew where they are
+        ascent.last_x = np.where(rows.has_data, ascent.last_x, ascent.gradient)
+        ascent.step = 0.5
+        ascent.x = ascent.last_x + 0.5 * (ascent.gradient - ascent.last_x)
+        ascent.n_iterations = 1
+        _ascend(rows, ascent, END_TOLERANCE, watch)
+
+
+def _by(sign: float) -> Callable[[Ascent], float]:
+    """Return how far out an ascent is."""
+    return lambda ascent: sign * ascent.value
+
+
+def _turn_rows(rows: PolicyRows, base: Ascent, end: Ascent, watch: Watch) -> Ascent:
+    """Look for an end farther out: from directions that turn one row elsewhere.
+
+    Where a row may lead to next states that were never observed, an end is local in the
+    choice of one of them, and of the rows that take the set's limit for it. Each such
+    next state in turn becomes its row's best one, as much as in the row that moves
+    most; what the best of these directions lead to is ascended to its end.
+    """
+    free = np.flatnonzero((rows.phat == 0.0) | ~rows.has_data)
+    starts = rows.indptr[:-1]
+    n_steps = rows.n_steps or STEPS_PER_INFINITE_VALUE
+    cost = len(rows.phat) * n_steps
+    n_values = min(len(free), max(MAX_TURN_WORK // cost, 1))
+    n_ascents = min(max(MAX_TURN_WORK // (10 * cost), 1), MAX_TURNS)
+    for _ in range(MAX_POLISHES):
+        x = end.last_x
+        largest = np.maximum.reduceat(x, starts)
+        spread = largest - np.minimum.reduceat(x, starts)
+        boost = largest[rows.row] + max(float(spread.max()), TINY)
+        # those first that lead where the gain moves most
+        merit = end.sign * look_ahead(rows, end.values)
+        order = free[np.argsort(-merit[free], kind="stable")][:n_values]
+        trials = []
+        for i in order:
+            if watch.is_over:
+                break
+            turned = x.copy()
+            turned[i] = boost[i]
+            trial = base.towards(end.sign, turned)
+            p, _, _ = best_rows(rows, turned, base.limit, 1e-3, 0.0)
+            trials.append((end.sign * _fill_values(rows, p, trial, 1e-3), i, turned))
+        trials.sort(key=lambda trial: -trial[0])
+        best = end
+        for _, _, turned in trials[:n_ascents]:
+            ascent = base.towards(end.sign, turned)
+            _ascend(rows, ascent, SCOUT_TOLERANCE, watch)
+            behind = end.sign * (end.value - ascent.value)
+            if behind > CONTENDING_SHARE * abs(end.value - end.reference):
+                continue
+            _ascend(rows, ascent, END_TOLERANCE, watch)
+            _polish(rows, ascent, watch)
+            best = max(best, ascent, key=_by(end.sign))
+        gain = end.sign * (best.value - end.value)
+        if gain <= LEAST_TURN * abs(end.value - end.reference):
+            break
+        end = best
+    return end
+
+
 def value_of_rows(rows: PolicyRows, p: Array) -> float:
     """Return J at rows p."""
     return rows.unit * _begin(rows, p).value
 
 
 def look_ahead(rows: PolicyRows, values: list[Array]) -> Array:
-    """Return r + gamma V(s') of each entry, summed over the policies by their signs."""
+    """Return r + gamma V(s') of each entry, of a gain sum_k sign_k pi_k (r + gamma V_k)."""
     ahead = np.zeros(len(rows.pay))
+    is_gain = len(rows.parts) > 1
     for part, ours in zip(rows.parts, values, strict=True):
-        ahead += part.sign * (rows.pay + rows.discount * ours[rows.column])
+        share = part.sign * part.weight if is_gain else part.sign
+        ahead += share * (rows.pay + rows.discount * ours[rows.column])
     return ahead
 
 
@@ -606,7 +720,7 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -
         ascent.visits[k] = d
         total += sign * value
         slope += sign * gradient
-    if rows.n_steps:
+    if rows.n_steps or len(rows.parts) > 1:
         # where the gradient says nothing of a row without data, r + gamma V does
         starts = rows.indptr[:-1]
         largest = np.maximum.reduceat(slope, starts)
@@ -690,7 +804,7 @@ def centred_gradient(
         weight,
         rows.pay,
         rows.phat,
-        rows.n,
+        rows.weighted,
         rows.discount,
         values,
         visits,
