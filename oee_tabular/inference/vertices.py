@@ -61,7 +61,9 @@ def find_moves(rows: PolicyRows, x: Array) -> Moves:
     within = np.arange(indptr[-1]) - np.repeat(indptr[:-1], lengths)
     entries = np.repeat(starts, lengths) + within
     if rows.takes_one:
-        return Moves(entries, indptr, (entries == np.repeat(own, lengths)).astype(float))
+        return Moves(
+            entries, indptr, (entries == np.repeat(own, lengths)).astype(float)
+        )
     low, high = rows.low[entries], rows.high[entries]
     key = np.where(entries == np.repeat(own, lengths), np.inf, x[entries])
     move = np.repeat(np.arange(len(own)), lengths)
