@@ -63,7 +63,9 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
     "exceptions": (),
     "inference": (
         "Interval",
+        "RobustPolicy",
         "interval",
+        "robust_policy",
         "value_range",
     ),
     "mdp": (
@@ -137,7 +139,9 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.exact import weighted_return_moments as weighted_return_moments
     from oee_tabular.exact.occupancy import occupancy as occupancy
     from oee_tabular.inference import Interval as Interval
+    from oee_tabular.inference import RobustPolicy as RobustPolicy
     from oee_tabular.inference import interval as interval
+    from oee_tabular.inference import robust_policy as robust_policy
     from oee_tabular.inference import value_range as value_range
     from oee_tabular.lab import bench as bench
     from oee_tabular.mdp import FiniteMDP as FiniteMDP

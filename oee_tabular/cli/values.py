@@ -65,6 +65,8 @@ if TYPE_CHECKING:
     from oee_tabular.report import Report
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
+# the exit code of `compare --expect-best` where the first policy is not the best
+NOT_THE_BEST = 3
 # what these options are when they are not given
 DEFAULTS = (None, 0.0, "refuse", "simulator")
 
@@ -622,6 +624,14 @@ def compare(
     ] = False,
     unrecorded: UnrecordedOption = None,
     interval_seconds: IntervalSecondsOption = None,
+    expect_best: Annotated[
+        bool,
+        typer.Option(
+            "--expect-best",
+            help="End with exit code 3 unless the first policy is found to be the best.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say which of several policies is worth most.
@@ -684,6 +694,8 @@ def compare(
         "warnings": warnings,
     }
     print_result("\n".join(lines), record, as_json)
+    if expect_best and report.best != next(iter(policies)):
+        raise typer.Exit(NOT_THE_BEST)
 
 
 def _difference(row: Mapping[str, Any], best: str) -> dict[str, Any]:
