@@ -143,6 +143,7 @@ def valid_values():
         "policy": uniform,
         "behavior_policy": uniform,
         "minus": uniform,
+        "running": uniform,
         "policy_a": uniform,
         "policy_b": expert,
         "weight_of_a": 0.5,

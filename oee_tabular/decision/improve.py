@@ -21,7 +21,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.gain import Gain, require_consistent_box
 from oee_tabular.inference.intervals import check_factor
 from oee_tabular.mdp import check_policies, check_policy
-from oee_tabular.report.evaluation import is_best_in_log
+from oee_tabular.report import is_best_in_log
 from oee_tabular.typing import Array, PoliciesLike, PolicyLike, Seed
 
 # of the largest value in the comparison: a smaller gain is rounding

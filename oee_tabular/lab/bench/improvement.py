@@ -97,9 +97,7 @@ def measure_log(family: Family, size: float, seed: int) -> Row:
     of_counts = _find_of_counts(parted)
     row |= {
         f"split_{key}": number
-        for key, number in judge(
-            parted, value(parted.policy) - now, unit
-        ).items()
+        for key, number in judge(parted, value(parted.policy) - now, unit).items()
     }
     end, policy = of_counts
     row["counts_held"] = end <= value(policy) - now + ROUNDING * unit
