@@ -33,6 +33,7 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
         "ContinuousTransitions",
         "TransitionCounts",
         "Transitions",
+        "Trials",
     ),
     "design": (
         "Plan",
@@ -111,6 +112,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.data import ContinuousTransitions as ContinuousTransitions
     from oee_tabular.data import TransitionCounts as TransitionCounts
     from oee_tabular.data import Transitions as Transitions
+    from oee_tabular.data import Trials as Trials
     from oee_tabular.design import Plan as Plan
     from oee_tabular.design import plan_data_collection as plan_data_collection
     from oee_tabular.estimators import Estimate as Estimate

@@ -26,6 +26,9 @@ without data are the simulator's.
 for all x at once, at any sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V).
 ``value_range`` has the box alone, Assumption V.1.
 
+*Trials* (``trials``): whole runs of which only the outcome was written, joined with the
+log by one likelihood: {j : D(j) + T(j) <= min + chi^2_1 / 2}.
+
 *Comparison* (``comparison``): differences of the default's values, Cov(J_i, J_j) = f^2
 sum_x Cov_x(G_i, G_j) / max(n_x, 1) with a factor f of .8 to 1, and one rule,
 ``Comparison.decide``, for the ranking, P(best) and every sentence about it.
@@ -51,6 +54,7 @@ from oee_tabular.inference.comparison import (
     selection_measures,
 )
 from oee_tabular.inference.intervals import Interval, interval, value_range
+from oee_tabular.inference.trials import JoinedTrials, join_trials
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -63,10 +67,12 @@ __all__ = [
     "Comparison",
     "Decision",
     "Interval",
+    "JoinedTrials",
     "RowChanges",
     "Selection",
     "compare_policies",
     "interval",
+    "join_trials",
     "row_changes",
     "selection_measures",
     "value_range",

@@ -79,7 +79,8 @@ class Interval:
         sample size, the others as the log grows. It is 1 for a ``value_range``.
     method : str
         "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or
-        "likelihood under the features"; "range" for a ``value_range``.
+        "likelihood under the features"; "likelihood with trials"; "range" for a
+        ``value_range``.
     diagnostics : dict
         Plain numbers. ``unrecorded_share`` is the share of the policy's discounted time
         in stochastic pairs that were never recorded, and ``unrecorded_pairs`` how many
@@ -221,7 +222,8 @@ def interval(
 ) -> Interval:
     """Compute a confidence interval for the value of a policy in the target.
 
-    The value J is the expected discounted sum of rewards over the problem's horizon.
+    The trials of a problem that has some are joined with its log (``join_trials``). The
+    value J is the expected discounted sum of rewards over the problem's horizon.
     Rewards count as known. Every method uses the problem's log and simulator; the
     bounds nu P <= P_target <= mu P of ``lower_ratio`` and ``upper_ratio`` are called
     the box.
@@ -357,6 +359,19 @@ def interval(
     limit = check_seconds(seconds, "seconds")
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
+    if problem.trials is not None:
+        _refuse_beside_trials(method, tie, features)
+        from oee_tabular.inference.trials import joined_interval  # it calls this one
+
+        return joined_interval(
+            problem,
+            policy,
+            confidence=level,
+            lower_ratio=lower_ratio,
+            upper_ratio=upper_ratio,
+            unrecorded=unrecorded,
+            seconds=limit,
+        )
     if tie is not None or features is not None:
         return _interval_under(
             problem, policy, tie, features, level, method, has_box=has_box
@@ -503,6 +518,20 @@ def interval_without_search(
     return _likelihood_interval(
         problem, evidence, confidence, factor, margin, facts, 0.0
     )
+
+
+def _refuse_beside_trials(method: str, tie: object, features: object) -> None:
+    """Refuse what cannot be joined with trials."""
+    remedy = "(problem.without_trials has none)"
+    if method != "likelihood":
+        raise ArgumentError(
+            "method",
+            f"must be 'likelihood' with trials, which it joins; it is {method!r}"
+            f" {remedy}",
+        )
+    for name, given in (("tie", tie), ("features", features)):
+        if given is not None:
+            raise ArgumentError(name, f"must be None with trials {remedy}")
 
 
 def _gather_facts(
