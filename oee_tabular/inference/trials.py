@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -71,6 +71,7 @@ MAX_ROUNDS = 8
 GRID_STEP = 0.01  # standard deviations between the points that are searched
 # calls of ``interval`` among which a limit of time is divided
 USUAL_CALLS = 10
+SAME_POLICY = 1e-9  # of a probability: policies that differ by less are the same
 # of the squared mean: a smaller variance is rounding
 VARIANCE_TOLERANCE = 1e-20
 
@@ -170,9 +171,11 @@ class JoinedTrials:
     ----------
     value : float
         The value by both, a discounted sum: the least of l(j) with the default's value
-        and standard error for the log, put inside of the interval.
+        and standard error for the log, put inside of the interval. Where both
+        contradict each other it is the mean of the trials, which saw the target itself.
     standard_error : float or None
-        The standard error by both, sqrt(V); None where the log has none.
+        The standard error by both, sqrt(V); None where the log has none, or both
+        contradict each other.
     interval : Interval
         The joined interval.
     log : Interval
@@ -217,7 +220,6 @@ class JoinedTrials:
     worth: float
     more_trials: float | None
     more_transitions: float | None
-    facts: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
 @suggest_keywords
@@ -500,7 +502,9 @@ def find_trials(problem: Problem, policy: Array, name: str | None) -> Trials | N
         return None
     if isinstance(trials.policy, np.ndarray):
         tried = check_policy(trials.policy, problem.simulator, name="trials.policy")
-        is_same = tried.shape == policy.shape and np.allclose(tried, policy, atol=1e-9)
+        is_same = tried.shape == policy.shape and bool(
+            (np.abs(tried - policy) <= SAME_POLICY).all()
+        )
         if name is None and not is_same:
             raise ArgumentError(
                 "trials.policy",
@@ -539,12 +543,14 @@ def require_tried(problem: Problem, policies: Mapping[str, Array]) -> None:
             "trials.policy",
             f"must name the policy that was tried, one of {known}; it is None",
         )
-    if isinstance(trials.policy, np.ndarray):
-        if all(find_trials(problem, pi, name) is None for name, pi in policies.items()):
-            raise ArgumentError(
-                "trials.policy",
-                f"must be a policy that is evaluated ({known}); it is another one",
-            )
+    is_array = isinstance(trials.policy, np.ndarray)
+    if is_array and all(
+        find_trials(problem, pi, name) is None for name, pi in policies.items()
+    ):
+        raise ArgumentError(
+            "trials.policy",
+            f"must be a policy that is evaluated ({known}); it is another one",
+        )
 
 
 def _names(trials: Trials) -> str:
@@ -591,7 +597,10 @@ def _describe(
     error = estimate.standard_error
     has_error = error is not None and math.isfinite(error) and error > 0.0
     value = estimate.value
-    if has_error and math.isfinite(value):
+    is_contradicted = p_value < CONTRADICTION_LEVEL
+    if is_contradicted:
+        value = outcomes.mean
+    elif has_error and math.isfinite(value):
         value = _weigh(estimate.value, float(error or 0.0), outcomes)
     if joined.status == "ok":
         value = min(max(value, joined.lower), joined.upper)
@@ -601,7 +610,7 @@ def _describe(
     both = None
     more_trials = None
     more_transitions = None
-    if has_error and variance > 0.0:
+    if has_error and variance > 0.0 and not is_contradicted:
         of_log = float(error or 0.0) ** 2
         least = 1.0 / (1.0 / of_log + outcomes.number / variance)
         both = math.sqrt(least)
@@ -621,7 +630,7 @@ def _describe(
         outcomes.number,
         variance,
         p_value,
-        p_value < CONTRADICTION_LEVEL,
+        is_contradicted,
         worth,
         more_trials,
         more_transitions,

@@ -216,7 +216,9 @@ def details(report: Report) -> list[str]:
 
 def inputs(report: Report) -> list[str]:
     """Return the lines on what a value is, and on what it was made from."""
-    keys = [key for key in ("simulator", "log", "target") if key in report.facts]
+    keys = [
+        key for key in ("simulator", "log", "trials", "target") if key in report.facts
+    ]
     return [
         f"Value: {report.unit}",
         *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),
