@@ -21,9 +21,13 @@ SUBJECTS = {
         "Simulators": ("FiniteMDP", "displacements"),
         "Policies": ("check_policy", "uniform_policy", "mix"),
     },
-    "data": {"Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions")},
+    "data": {
+        "Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions"),
+        "Trials": ("Trials", "success_simulator"),
+    },
     "inference": {
         "How sure": ("interval", "Interval", "value_range"),
+        "Trials beside the log": ("join_trials", "JoinedTrials"),
         "Which policy is better": (
             "compare_policies",
             "Comparison",

@@ -347,6 +347,8 @@ def read_problem(
     recorded = oee.data.read_log(
         log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
     )
+    if success:
+        recorded = _without_rewards(recorded)
     must_refuse: Any = impossible
     if epsilon is not None:
         shape = (model.n_states, model.n_actions)
@@ -367,6 +369,20 @@ def read_problem(
         **more,
     )
     return task, problem
+
+
+def _without_rewards(recorded: Any) -> Any:
+    """Return a log without rewards, which are of another value than success."""
+    if isinstance(recorded, oee.Transitions):
+        return replace(recorded, reward=None)
+    sums = ("reward_sum", "reward_min", "reward_max", "reward_count")
+    return replace(
+        recorded,
+        sample=None
+        if recorded.sample is None
+        else replace(recorded.sample, reward=None),
+        **dict.fromkeys(sums),
+    )
 
 
 def read_success(

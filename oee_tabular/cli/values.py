@@ -20,6 +20,7 @@ from oee_tabular.cli.inputs import (
     read_columns,
     read_entries,
     read_problem,
+    read_success,
     task_of,
     write_array,
 )
@@ -576,8 +577,8 @@ def _evaluate_finite(
             facts[name] = f"{path} ({content})"
     true_mdp = None
     if target is not None:
-        true_mdp = task_of(target, discount if success else task.mdp.discount, initial)
-        true_mdp = true_mdp.mdp
+        known_discount = discount if success else task.mdp.discount
+        true_mdp = task_of(target, known_discount, initial).mdp
         if success:
             true_mdp = read_success(success, true_mdp, discount, rewards)
     return evaluate_showing(

@@ -364,100 +364,88 @@ class Trials:
         )
         return made._as_successes(self.success) if self.is_success else made
 
-    def require_fit(self, simulator: FiniteMDP, horizon: int | None) -> None:
-        """Refuse trials of another quantity than the problem's value.
 
-        Parameters
-        ----------
-        simulator : FiniteMDP
-            The simulator, with its rewards and discount.
-        horizon : int or None
-            The problem's horizon.
+def require_fit(trials: Trials, simulator: FiniteMDP, horizon: int | None) -> None:
+    """Refuse trials of another quantity than a problem's value.
 
-        Raises
-        ------
-        ValueError
-            If the discount, the horizon or what success is differs from the problem's,
-            or if the problem cannot have such a return.
-        """
-        if self.is_success:
-            self._require_success(simulator)
-        elif self.discount is not None and self.discount != simulator.discount:
-            raise ArgumentError(
-                "trials.discount",
-                f"must be the problem's, {simulator.discount:g}; it is"
-                f" {self.discount:g} (give the simulator the discount of the returns:"
-                f" simulator.with_discount({self.discount:g}), or sum the rewards of"
-                " each trial anew)",
-            )
-        if self.horizon is not None and self.horizon != horizon:
-            remedy = f"Problem(..., horizon={self.horizon})"
-            raise ArgumentError(
-                "trials.horizon",
-                f"must be the problem's, {horizon}; it is {self.horizon} (evaluate what"
-                f" was tried: {remedy}, --horizon {self.horizon})",
-            )
-        if isinstance(self.policy, np.ndarray):
-            check_policy(self.policy, simulator, name="trials.policy")
-        if not self.is_success and simulator.sampling is None:
-            self._require_range(simulator, horizon)
-
-    def _require_success(self, simulator: FiniteMDP) -> None:
-        """Refuse a problem whose value is not the probability of success."""
-        remedy = (
-            "(data.success_simulator(simulator, success=...) makes such a simulator;"
-            " on the command line: --success STATE)"
+    The quantity is what the simulator's rewards and discount say, over the horizon.
+    """
+    if trials.is_success:
+        _require_success(trials, simulator)
+    elif trials.discount is not None and trials.discount != simulator.discount:
+        raise ArgumentError(
+            "trials.discount",
+            f"must be the problem's, {simulator.discount:g}; it is"
+            f" {trials.discount:g} (give the simulator the discount of the returns:"
+            f" simulator.with_discount({trials.discount:g}), or sum the rewards of each"
+            " trial anew)",
         )
-        if simulator.discount != 1.0:
-            raise ArgumentError(
-                "trials",
-                "must be of the quantity that is evaluated: a success counts 1 at"
-                f" discount 1, and the problem has discount {simulator.discount:g}"
-                f" {remedy}",
-            )
-        paid = success_states(simulator)
-        if paid is None:
-            raise ArgumentError(
-                "trials",
-                "must be of the quantity that is evaluated: for successes the simulator"
-                " must pay 1 on entering terminal states of success, and nothing else;"
-                f" it pays otherwise {remedy}",
-            )
-        if self.success is None:
-            return
-        named = _find_states(self.success, simulator)
-        other = set(named.tolist()) ^ set(paid.tolist())
-        if other:
-            state = min(other)
-            raise ArgumentError(
-                "trials.success",
-                "must be the states on whose entering the simulator pays 1;"
-                f" {simulator.names.state(state)} is one of the two only {remedy}",
-            )
-
-    def _require_range(self, simulator: FiniteMDP, horizon: int | None) -> None:
-        """Refuse returns that the simulator's rewards cannot add up to."""
-        if simulator.discount == 1.0 and horizon is None:
-            return
-        data = simulator.transition_rewards
-        paid = simulator.rewards if data is None else data.data
-        total = total_discount(simulator.discount, horizon)
-        # a reward that is nowhere paid is 0, as after the end of an episode
-        ends = (
-            min(float(np.min(paid)), 0.0) * total,
-            max(float(np.max(paid)), 0.0) * total,
+    if trials.horizon is not None and trials.horizon != horizon:
+        raise ArgumentError(
+            "trials.horizon",
+            f"must be the problem's, {horizon}; it is {trials.horizon} (evaluate what"
+            f" was tried: Problem(..., horizon={trials.horizon}), --horizon"
+            f" {trials.horizon})",
         )
-        slack = RETURN_TOLERANCE * max(abs(ends[0]), abs(ends[1]))
-        is_outside = (self.returns < ends[0] - slack) | (self.returns > ends[1] + slack)
-        if is_outside.any():
-            row = int(np.argmax(is_outside))
-            raise ArgumentError(
-                f"trials.returns[{row}]",
-                f"must be in [{ends[0]:g}, {ends[1]:g}], the returns that the"
-                " simulator's rewards, discount and horizon allow; it is"
-                f" {self.returns[row]:g} ({int(is_outside.sum())} such trials; are they"
-                " sums at another discount or horizon?)",
-            )
+    if isinstance(trials.policy, np.ndarray):
+        check_policy(trials.policy, simulator, name="trials.policy")
+    if not trials.is_success and simulator.sampling is None:
+        _require_range(trials, simulator, horizon)
+
+
+def _require_success(trials: Trials, simulator: FiniteMDP) -> None:
+    """Refuse a problem whose value is not the probability of success."""
+    remedy = (
+        "(data.success_simulator(simulator, success) makes such a simulator; on the"
+        " command line: --success STATE)"
+    )
+    if simulator.discount != 1.0:
+        raise ArgumentError(
+            "trials",
+            "must be of the quantity that is evaluated: a success counts 1 at discount"
+            f" 1, and the problem has discount {simulator.discount:g} {remedy}",
+        )
+    paid = success_states(simulator)
+    if paid is None:
+        raise ArgumentError(
+            "trials",
+            "must be of the quantity that is evaluated: for successes the simulator"
+            " must pay 1 on entering terminal states of success, and nothing else; it"
+            f" pays otherwise {remedy}",
+        )
+    if trials.success is None:
+        return
+    named = _find_states(trials.success, simulator)
+    other = set(named.tolist()) ^ set(paid.tolist())
+    if other:
+        raise ArgumentError(
+            "trials.success",
+            "must be the states on whose entering the simulator pays 1; state"
+            f" {simulator.names.state(min(other))} is one of the two only {remedy}",
+        )
+
+
+def _require_range(trials: Trials, simulator: FiniteMDP, horizon: int | None) -> None:
+    """Refuse returns that the simulator's rewards cannot add up to."""
+    if simulator.discount == 1.0 and horizon is None:
+        return
+    data = simulator.transition_rewards
+    paid = simulator.rewards if data is None else data.data
+    total = total_discount(simulator.discount, horizon)
+    # a reward that is nowhere paid is 0, as after the end of an episode
+    low = min(float(np.min(paid)), 0.0) * total
+    high = max(float(np.max(paid)), 0.0) * total
+    slack = RETURN_TOLERANCE * max(abs(low), abs(high))
+    is_outside = (trials.returns < low - slack) | (trials.returns > high + slack)
+    if is_outside.any():
+        row = int(np.argmax(is_outside))
+        raise ArgumentError(
+            f"trials.returns[{row}]",
+            f"must be in [{low:g}, {high:g}], the returns that the simulator's rewards,"
+            f" discount and horizon allow; it is {trials.returns[row]:g}"
+            f" ({int(is_outside.sum())} such trials; are they sums at another discount"
+            " or horizon?)",
+        )
 
 
 def success_states(simulator: FiniteMDP) -> IntArray | None:

@@ -20,7 +20,7 @@ from oee_tabular.data import (
     Trials,
     has_labels,
     read_log,
-    success_states,
+    require_fit,
 )
 from oee_tabular.data.labels import ColumnsLike
 from oee_tabular.estimators import findings
@@ -219,7 +219,7 @@ class Problem:
             paying = simulator
             if rewards == "log":
                 paying = with_log_rewards(simulator, recorded)
-            trials.require_fit(paying, horizon)
+            require_fit(trials, paying, horizon)
         fields = (
             simulator,
             recorded,
@@ -341,28 +341,6 @@ class Problem:
         object.__setattr__(alone, "trials", None)
         vars(alone)["cache"] = self.cache
         return alone
-
-    def is_success(self, trials: Trials) -> bool:
-        """Return whether the outcomes of trials are successes and failures.
-
-        Returns of 0 and 1 are, where the problem's value is a probability of success.
-
-        Parameters
-        ----------
-        trials : Trials
-            Some of the problem's trials.
-
-        Returns
-        -------
-        bool
-            Whether they are.
-        """
-        _checks.instance(trials, Trials, "trials")
-        if trials.is_success:
-            return True
-        is_binary = bool(np.isin(trials.returns, (0.0, 1.0)).all())
-        has_success = self.simulator.discount == 1.0 and is_binary
-        return has_success and success_states(self.model) is not None
 
     @cached_property
     def soft(self) -> bool:

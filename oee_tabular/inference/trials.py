@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -49,7 +50,7 @@ from scipy.stats import chi2
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
-from oee_tabular.data import Trials
+from oee_tabular.data import Trials, success_states
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.exact import return_moments
@@ -63,10 +64,10 @@ METHOD = "likelihood with trials"
 # p-value below which log and trials contradict each other
 CONTRADICTION_LEVEL = 0.01
 # standard deviations at which the log's interval is computed first
-FIRST_DEVIATIONS = (1e-3, 1.0, 2.0, 3.0, 4.5, 7.0)
+FIRST_DEVIATIONS = (1e-3, 1.0, 2.0, 3.5, 7.0)
 MAX_DEVIATIONS = 7.0  # of the log: beyond them a level is 1 as a float
 # of the joined interval's width: by how much its ends may move in the last round
-END_TOLERANCE = 1e-5
+END_TOLERANCE = 1e-6
 MAX_ROUNDS = 8
 GRID_STEP = 0.01  # standard deviations between the points that are searched
 # calls of ``interval`` among which a limit of time is divided
@@ -128,7 +129,8 @@ class Outcomes(NamedTuple):
         return centre - half, centre + half
 
 
-class Curve(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Curve:
     """The log's ends of J as functions of z, from level 0 (z = 0) outwards.
 
     ``nodes`` are values of z, ``lower`` and ``upper`` the ends there.
@@ -137,6 +139,16 @@ class Curve(NamedTuple):
     nodes: Array
     lower: Array
     upper: Array
+
+    @cached_property
+    def below(self) -> Callable[[Array], Array]:
+        """Return the lower end as a function of z."""
+        return PchipInterpolator(self.nodes, self.lower)
+
+    @cached_property
+    def above(self) -> Callable[[Array], Array]:
+        """Return the upper end as a function of z."""
+        return PchipInterpolator(self.nodes, self.upper)
 
     def at(self, place: Array) -> tuple[Array, Array]:
         """Return z and J at places on the curve.
@@ -148,18 +160,17 @@ class Curve(NamedTuple):
         out = np.maximum(np.abs(z), self.nodes[0])
         share = 0.5 * (np.clip(place, -1.0, 1.0) + 1.0)
         middle = self.lower[0] + share * (self.upper[0] - self.lower[0])
-        below = PchipInterpolator(self.nodes, self.lower)(out)
-        above = PchipInterpolator(self.nodes, self.upper)(out)
-        return z, np.where(place < -1.0, below, np.where(place > 1.0, above, middle))
+        j = np.where(place < -1.0, self.below(out), middle)
+        return z, np.where(place > 1.0, self.above(out), j)
 
 
 class Cut(NamedTuple):
-    """The joined interval, the least of l, and the log's z at both ends."""
+    """The joined interval, the least of l, and the log's z at both ends and there."""
 
     lower: float
     upper: float
     least: float
-    deviations: tuple[float, float]
+    deviations: tuple[float, ...]
 
 
 @checked()
@@ -341,9 +352,12 @@ def _join(
     more: dict[str, tuple[float, float] | None] = {}
     for label, ends_of in (("sampling", _sampling), ("worst_case", _worst)):
         more[label] = None
-        if all(ends_of(one) is not None for one in known.values()):
-            side, _ = _refine(find, known, ends_of, outcomes, limit)
-            more[label] = (side.lower, side.upper)
+        found = [(ends_of(one), _quoted(one)) for one in known.values()]
+        if all(side == quoted for side, quoted in found):
+            more[label] = (cut.lower, cut.upper)
+        elif all(side is not None for side, _ in found):
+            other, _ = _refine(find, known, ends_of, outcomes, limit)
+            more[label] = (other.lower, other.upper)
     facts = dict(own.diagnostics)
     facts |= {
         "trials": outcomes.number,
@@ -389,6 +403,8 @@ def _refine(
     limit: float,
 ) -> tuple[Cut, float]:
     """Cut the curve, and compute the log's ends anew there until the cut stays.
+
+    New ends are computed where l is least as well, since the cut depends on that.
 
     ``known`` are the log's intervals by z, to which new ones are added. The second
     result is by how much the ends moved in the last round.
@@ -460,8 +476,8 @@ def _cut(curve: Curve, outcomes: Outcomes, limit: float) -> Cut:
     ends = []
     for outward in (-1, 1):
         ends.append(_find_end(height, places, heights, centre, least + limit, outward))
-    z, j = curve.at(np.array(ends))
-    return Cut(float(j[0]), float(j[1]), least, (float(z[0]), float(z[1])))
+    z, j = curve.at(np.array([*ends, centre]))
+    return Cut(float(j[0]), float(j[1]), least, tuple(z.tolist()))
 
 
 def _find_end(
@@ -558,12 +574,24 @@ def _names(trials: Trials) -> str:
     return _checks.show(", ".join(map(repr, trials.names)))
 
 
+def is_success(problem: Problem, trials: Trials) -> bool:
+    """Return whether the outcomes of trials are successes and failures.
+
+    Returns of 0 and 1 are, where the problem's value is a probability of success.
+    """
+    if trials.is_success:
+        return True
+    is_binary = bool(np.isin(trials.returns, (0.0, 1.0)).all())
+    has_success = problem.simulator.discount == 1.0 and is_binary
+    return has_success and success_states(problem.model) is not None
+
+
 def read_outcomes(problem: Problem, policy: Array, trials: Trials) -> Outcomes:
     """Return the outcomes of trials, with a variance where they do not vary.
 
     Returns of 0 and 1 are successes where the problem's value is a probability.
     """
-    if problem.is_success(trials):
+    if is_success(problem, trials):
         p = trials.mean
         return Outcomes(trials.number, p, p * (1.0 - p), np.inf, True)
     m = trials.number
