@@ -14,6 +14,7 @@ nothing else (``success_simulator`` makes it of any simulator).
 from __future__ import annotations
 
 import json
+import operator
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -179,10 +180,7 @@ class Trials:
             raise ArgumentError(
                 "trials", f"must be at most {MAX_TRIALS}; it is {number}"
             )
-        if _checks.is_zero(successes) and not isinstance(successes, bool | np.bool_):
-            won = 0
-        else:
-            won = _checks.positive_integer(successes, "successes")
+        won = _check_successes(successes, number)
         if won > number:
             raise ArgumentError(
                 "successes", f"must be at most trials, {number}; it is {won}"
@@ -541,6 +539,24 @@ def success_simulator(simulator: FiniteMDP, success: StatesLike) -> FiniteMDP:
     return stopped.with_rewards(paid).with_discount(1.0)
 
 
+def _check_successes(successes: Any, number: int) -> int:
+    """Return a number of successes that is an integer of at least 0."""
+    try:
+        if isinstance(successes, bool | np.bool_):
+            raise TypeError
+        won = operator.index(successes)
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            "successes",
+            f"must be an integer in 0..{number}; got {_checks.show(successes)}",
+        ) from None
+    if won < 0:
+        raise ArgumentError(
+            "successes", f"must be an integer in 0..{number}; it is {won}"
+        )
+    return won
+
+
 def _check_states(success: Any) -> tuple[Name | int, ...]:
     """Return states as a tuple of names and numbers, at least one."""
     if isinstance(success, str) or _checks.is_integer(success):
@@ -556,13 +572,11 @@ def _check_states(success: Any) -> tuple[Name | int, ...]:
 def _find_states(states: Sequence[Name | int], simulator: FiniteMDP) -> IntArray:
     """Return the numbers of states that are given by name or number."""
     names = simulator.state_names
-    return np.array(
-        [
-            number_of(state, names, simulator.n_states, f"success[{k}]")
-            for k, state in enumerate(states)
-        ],
-        dtype=np.int64,
-    )
+    numbers = []
+    for k, state in enumerate(states):
+        place = "success" if len(states) == 1 else f"success[{k}]"
+        numbers.append(number_of(state, names, simulator.n_states, place))
+    return np.array(numbers, dtype=np.int64)
 
 
 def _check_tried(policy: Any, number: int) -> str | tuple[str, ...] | Array | None:

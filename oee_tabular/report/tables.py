@@ -45,7 +45,8 @@ def render_comparison(report: Report) -> str:
 
 def render_intervals(report: Report) -> str:
     """Write what likelihood intervals add to a report that was shown without them."""
-    rows = [row for row in report.rows() if row["interval_method"] == "likelihood"]
+    kinds = ("likelihood", "likelihood with trials")
+    rows = [row for row in report.rows() if row["interval_method"] in kinds]
     return join(
         fold(["With the likelihood intervals:"]),
         fold([report.headline]),
