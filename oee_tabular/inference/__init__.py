@@ -53,8 +53,13 @@ from oee_tabular.inference.comparison import (
     compare_policies,
     selection_measures,
 )
-from oee_tabular.inference.intervals import Interval, interval, value_range
-from oee_tabular.inference.trials import JoinedTrials, join_trials
+from oee_tabular.inference.intervals import (
+    Interval,
+    interval,
+    join_trials,
+    value_range,
+)
+from oee_tabular.inference.trials import JoinedTrials
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -48,7 +48,6 @@ from scipy.special import gammaincinv, ndtri_exp, stdtr, stdtrit
 from scipy.stats import chi2
 
 from oee_tabular import _checks
-from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.data import Trials, success_states
 from oee_tabular.estimators import Problem
@@ -56,11 +55,13 @@ from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.exact import return_moments
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.mdp import check_policy
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array
 
-METHOD = "likelihood with trials"
+if TYPE_CHECKING:
+    from oee_tabular.inference.intervals import Interval
+
+METHOD = "likelihood with trials"  # of an interval
 # p-value below which log and trials contradict each other
 CONTRADICTION_LEVEL = 0.01
 # standard deviations at which the log's interval is computed first
@@ -72,8 +73,6 @@ END_TOLERANCE = 1e-6
 MAX_ROUNDS = 8
 MIN_GAP = 0.1  # standard deviations between nodes that are not the latest
 GRID_STEP = 0.01  # standard deviations between the points that are searched
-# calls of ``interval`` among which a limit of time is divided
-USUAL_CALLS = 10
 SAME_POLICY = 1e-9  # of a probability: policies that differ by less are the same
 # of the squared mean: a smaller variance is rounding
 VARIANCE_TOLERANCE = 1e-20
@@ -235,6 +234,18 @@ class JoinedTrials:
     See Also
     --------
     join_trials : Join the trials of a policy with the log.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")
+    >>> log = pair.problem(30, seed=0).log
+    >>> trials = oee.Trials([10.2, 9.6, 11.4, 8.9, 10.9, 10.1])
+    >>> problem = oee.Problem(pair.simulator, log, trials=trials)
+    >>> both = oee.inference.join_trials(problem, pair.policy)
+    >>> both.number, round(both.mean, 2), both.is_contradicted
+    (6.0, 10.18, False)
     """
 
     value: float
@@ -252,98 +263,28 @@ class JoinedTrials:
     more_transitions: float | None
 
 
-@suggest_keywords
-def join_trials(
+def join(
     problem: Problem,
-    policy: PolicyLike,
-    *,
-    name: str | None = None,
-    confidence: float = 0.95,
-    lower_ratio: float | None = None,
-    upper_ratio: float | None = None,
-    unrecorded: float | None = None,
-    seconds: float | None = None,
+    policy: Array,
+    name: str | None,
+    level: float,
+    find: Callable[[float], Interval],
 ) -> JoinedTrials:
-    """Join the trials of a policy with the log, by one likelihood.
+    """Join the trials of a checked policy with the log.
 
-    Parameters
-    ----------
-    problem : Problem
-        The simulator, the log and the trials.
-    policy : PolicyLike
-        The policy that was tried.
-    name : str, optional
-        The name of the policy among the trials. None means that the trials have no
-        names.
-    confidence : float, default 0.95
-        The level of the intervals, in (0, 1).
-    lower_ratio : float, optional
-        Lower bound of the box, as in ``interval``.
-    upper_ratio : float, optional
-        Upper bound of the box, as in ``interval``.
-    unrecorded : float, optional
-        The factor of pairs that were never recorded, as in ``interval``.
-    seconds : float, optional
-        The time for the log's searches, as in ``interval``.
-
-    Returns
-    -------
-    JoinedTrials
-        Value, intervals, the test of log against trials, and what halves the interval.
-
-    Raises
-    ------
-    ValueError
-        If the problem has no trials of this policy, or an argument is out of its range.
-
-    See Also
-    --------
-    interval : Compute the joined interval alone.
-
-    Notes
-    -----
-    It costs ten to thirty times as much as ``interval`` without trials.
-
-    Examples
-    --------
-    >>> import oee_tabular as oee
-    >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a known target
-    >>> log = pair.problem(30, seed=0).log
-    >>> trials = oee.Trials([10.2, 9.6, 11.4, 8.9, 10.9, 10.1])
-    >>> both = join_trials(oee.Problem(pair.simulator, log, trials=trials), pair.policy)
-    >>> both.interval.width < both.log.width, round(both.p_value, 2) > 0.01
-    (True, True)
+    ``find`` returns the log's interval at a number of standard deviations.
     """
-    _checks.instance(problem, Problem, "problem")
-    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    pi = check_policy(policy, problem.simulator)
-    trials = find_trials(problem, pi, name)
+    trials = find_trials(problem, policy, name)
     if trials is None:
         raise ArgumentError("problem", "must have trials of this policy; it has none")
-    alone = problem.without_trials
-
-    def find(z: float) -> Interval:
-        """Return the log's interval at z standard deviations."""
-        return interval(
-            alone,
-            pi,
-            confidence=math.erf(z / math.sqrt(2.0)),
-            lower_ratio=lower_ratio,
-            upper_ratio=upper_ratio,
-            unrecorded=unrecorded,
-            seconds=None if seconds is None else seconds / USUAL_CALLS,
-        )
-
-    own = find(NormalDist().inv_cdf(0.5 + level / 2.0))
-    own = replace(own, confidence=level)
-    outcomes = read_outcomes(problem, pi, trials)
+    own = replace(find(NormalDist().inv_cdf(0.5 + level / 2.0)), confidence=level)
+    outcomes = read_outcomes(problem, policy, trials)
     by_trials = outcomes.ends(level)
-    if own.status != "ok":
-        failed = replace(own, method=METHOD)
-        return _describe(problem, pi, outcomes, failed, own, by_trials, 1.0, level)
-    joined, p_value = _join(find, own, outcomes, by_trials, level)
-    return _describe(problem, pi, outcomes, joined, own, by_trials, p_value, level)
+    joined = replace(own, method=METHOD)
+    p_value = 1.0
+    if own.status == "ok":
+        joined, p_value = _join(find, own, outcomes, by_trials, level)
+    return _describe(problem, policy, outcomes, joined, own, by_trials, p_value, level)
 
 
 def _join(
@@ -388,11 +329,12 @@ def _join(
         "contradiction_p_value": p_value,
         "last_change": change,
     }
-    joined = Interval(
-        *ends,
-        level,
-        METHOD,
-        facts,
+    joined = replace(
+        own,
+        lower=ends[0],
+        upper=ends[1],
+        method=METHOD,
+        diagnostics=facts,
         sampling=more["sampling"],
         worst_case=more["worst_case"],
     )
@@ -711,8 +653,3 @@ def _weigh(value: float, error: float, outcomes: Outcomes) -> float:
     around = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, 64)]))
     found = minimize_scalar(height, bounds=around, method="bounded")
     return float(found.x if found.fun <= height(float(grid[k])) else grid[k])
-
-
-def joined_interval(problem: Problem, policy: PolicyLike, **options: Any) -> Interval:
-    """Return the joined interval alone, as ``interval`` gives it."""
-    return join_trials(problem, policy, **options).interval

@@ -515,8 +515,8 @@ def contradiction(
         f"The trials of “{policy}” and the log contradict each other ({shown}, below"
         f" {level:g}): the trials' mean is {format_value(mean, *log)}, the log says"
         f" {format_interval(*log)}. They may be of two targets, of other first states or"
-        " of another policy. The interval reaches over both; find out which one is"
-        " wrong before the value is used."
+        " of another policy. The value is that of the trials, and the interval reaches"
+        " over both. Find out which one is wrong before either is used."
     )
 
 

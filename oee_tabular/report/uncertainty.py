@@ -28,14 +28,13 @@ from oee_tabular.inference import (
 )
 from oee_tabular.inference.comparison import MIN_RECORDED_SHARE, compare_estimates
 from oee_tabular.inference.evidence import Evidence, gather
-from oee_tabular.inference.intervals import interval_without_search
+from oee_tabular.inference.intervals import interval_without_search, join_trials
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
 from oee_tabular.inference.trials import (
     CONTRADICTION_LEVEL,
     JoinedTrials,
     find_trials,
-    join_trials,
 )
 from oee_tabular.report import text
 from oee_tabular.shrinkage import transition_ratio
