@@ -21,10 +21,14 @@ SUBJECTS = {
         "Simulators": ("FiniteMDP", "displacements"),
         "Policies": ("check_policy", "uniform_policy", "mix"),
     },
-    "data": {"Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions")},
+    "data": {
+        "Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions"),
+        "Trials": ("Trials", "success_simulator"),
+    },
     "inference": {
         "How sure": ("interval", "Interval", "value_range"),
         "The best policy in the worst case": ("robust_policy", "RobustPolicy"),
+        "Trials beside the log": ("join_trials", "JoinedTrials"),
         "Which policy is better": (
             "compare_policies",
             "Comparison",

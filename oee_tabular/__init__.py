@@ -33,6 +33,7 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
         "ContinuousTransitions",
         "TransitionCounts",
         "Transitions",
+        "Trials",
     ),
     "decision": (
         "Improvement",
@@ -118,6 +119,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.data import ContinuousTransitions as ContinuousTransitions
     from oee_tabular.data import TransitionCounts as TransitionCounts
     from oee_tabular.data import Transitions as Transitions
+    from oee_tabular.data import Trials as Trials
     from oee_tabular.decision import Improvement as Improvement
     from oee_tabular.decision import improve as improve
     from oee_tabular.design import Plan as Plan

@@ -625,6 +625,47 @@ Conditional(functions=Network(), features=[1.0])  ->  features must be left out 
 Conditional(functions=Network(), upper=5.0)  ->  lower and upper must be left out with functions=
 Conditional(functions=Network(), lower=0.1)  ->  lower and upper must be left out with functions=
 
+# trials
+Trials([])  ->  returns must have at least one trial; it is empty
+Trials([1.0, np.nan])  ->  returns[1] must be finite
+Trials(["x"])  ->  returns must be an array of numbers
+Trials([[1.0]])  ->  returns must have 1 dimension(s)
+Trials([1.0], discount=2)  ->  discount must be in [0, 1]; it is 2
+Trials([1.0], horizon=0)  ->  horizon must be a positive integer
+Trials([1.0, 2.0], policy=["a"])  ->  policy must be one name, or 2, one for each trial; there are 1
+Trials([1.0], policy=[""])  ->  policy[0] must be a name
+Trials([1.0], policy="")  ->  policy must be a name that is not empty
+Trials([1.0], weight=[0.0])  ->  weight[0] must be positive and finite; it is 0
+Trials([1.0], weight=[1.0, 1.0])  ->  weight must have one number for each of the 1 trials; it has 2
+Trials.from_successes(13, 12)  ->  successes must be at most trials, 12; it is 13
+Trials.from_successes(-1, 12)  ->  successes must be an integer in 0..12; it is -1
+Trials.from_successes(True, 12)  ->  successes must be an integer in 0..12; got True
+Trials.from_successes(0.5, 12)  ->  successes must be an integer in 0..12; got 0.5
+Trials.from_successes(0, 0)  ->  trials must be a positive integer
+Trials.from_successes(9, 10**12)  ->  trials must be at most
+Trials.from_successes(9, 12, success=[])  ->  success must name at least one state; it is empty
+Trials.load("nowhere.csv")  ->  [Errno 2]
+Trials.load("trials.txt")  ->  path must end in .csv or .json; it is 'trials.txt'
+Trials.load("trials.csv", task="a/0")  ->  task must be None for a CSV file
+Trials.load("trials.csv", measure="speed")  ->  measure must be one of 'success', 'return'
+Trials([1.0], policy="a").of("b")  ->  name must be a policy that was tried ('a'); got 'b'
+success_simulator(GRID, 9)  ->  success must be in 0..8; it is 9
+success_simulator(NAMED, "attic")  ->  success must be one of the MDP's names; it is 'attic'
+success_simulator(GRID, [8, 9])  ->  success[1] must be in 0..8; it is 9
+success_simulator(GRID, [8, 0])  ->  success must be states in which no episode starts
+Problem(GRID, LOG, trials=[1.0])  ->  trials must be Trials; got list
+Problem(GRID, LOG, trials=Trials.from_successes(9, 12))  ->  trials must be of the quantity that is evaluated: a
+  success counts 1 at discount 1, and the problem has discount 0.99 (data.success_simulator
+Problem(GRID, LOG, trials=Trials([-1.0], discount=0.9))  ->  trials.discount must be the problem's, 0.99; it is 0.9 (give
+Problem(GRID, LOG, trials=Trials([-1.0], horizon=9))  ->  trials.horizon must be the problem's, None; it is 9
+Problem(GRID, LOG, horizon=8, trials=Trials([-1.0], horizon=9))  ->  trials.horizon must be the problem's, 8; it is 9
+Problem(GRID, LOG, trials=Trials([-1.0, 2.0]))  ->  trials.returns[1] must be in [...]...other discount or horizon
+interval(TRIED, UNIFORM, method="delta")  ->  method must be 'likelihood' with trials
+interval(TRIED, UNIFORM, tie=KEYS)  ->  tie must be None with trials
+interval(TRIED, UP)  ->  trials.policy must be the policy that is evaluated; it is another one
+evaluate(TRIED, {"up": UP})  ->  trials.policy must be a policy that is evaluated ('up'); it is another one
+join_trials(P, UNIFORM)  ->  problem must have trials of this policy; it has none
+
 # intervals, comparisons, plans
 interval(P, UNIFORM, method="bootstrap", n_bootstrap=0)  ->  n_bootstrap must be a positive integer
 interval(Problem(HUGE, LOG), UNIFORM, method="robust")  ->  the simulator's rewards must be at most 1e+140, ...larger unit

@@ -372,6 +372,10 @@ def results(values, problem, policies, target, simulator):
         oee.ratio.InClass(features=np.arange(120) % 3.0),
         oee.tasks.gymnasium_simulator("Pendulum-v1"),
         oee.tasks.embedded_default(seed=0),
+        oee.Trials([-3.0, -2.0, -4.0], policy="mine"),
+        oee.inference.join_trials(
+            tried_problem(problem.simulator, problem.log), policies["uniform"]
+        ),
     ]
 
 
@@ -392,6 +396,19 @@ def saved(known, name):
     path = str(Path(tempfile.mkdtemp()) / f"{name}.npz")
     known["holders"][name].save(path)
     return {"path": path}
+
+
+def tried_file():
+    """The path of a table of trials."""
+    path = Path(tempfile.mkdtemp()) / "trials.csv"
+    path.write_text("success\n1\n0\n1\n", encoding="utf-8")
+    return path
+
+
+def tried_problem(simulator, log):
+    """A problem with trials."""
+    trials = oee.Trials([-3.0, -2.0, -4.0])
+    return oee.Problem(simulator, log, horizon=20, trials=trials)
 
 
 def own_values(known):
@@ -423,6 +440,7 @@ def own_values(known):
             "behavior_probability",
         )
     )
+    trials = {"policy": None, "discount": None, "horizon": None, "success": 8}
     kernel = {"kernel": None, "coordinates": None}
     ratio_options = (
         "horizon",
@@ -503,7 +521,24 @@ def own_values(known):
             "policy": np.full((16, 4), 0.25),
         },
         "DualDice.__call__": {"problem": oee.Problem(simulator, log)},
-        "Problem": {"behavior_policy": None, "rewards": "simulator"},
+        "Problem": {"behavior_policy": None, "rewards": "simulator", "trials": None},
+        "Trials": trials | {"returns": [-3.0, -2.0, -4.0], "weight": [1.0, 1.0, 2.0]},
+        "Trials.from_successes": trials | {"successes": 9, "trials": 12},
+        "Trials.load": {
+            "path": tried_file(),
+            "measure": None,
+            "task": None,
+            "discount": None,
+            "horizon": None,
+            "success": 8,
+        },
+        "Trials.of": {"name": "mine"},
+        "success_simulator": {"success": 8},
+        "join_trials": {
+            "problem": tried_problem(simulator, log),
+            "name": None,
+            "seconds": None,
+        },
         "Magic": {"ratio": "conditional"},
         "Marginalized": {
             "ratio": "conditional",

@@ -252,6 +252,8 @@ NAMES |= globals() | {
     "TWINS": np.stack([np.arange(36.0), np.ones(36), 3 - np.arange(36.0)], axis=1),
     "from_episodes": Transitions.from_episodes,
     "from_frame": Transitions.from_frame,
+    "TRIED": oee.Problem(GRID, LOG, trials=oee.Trials([-1.0], policy=UNIFORM)),
+    "success_simulator": oee.data.success_simulator,
     "LAKE": oee.tasks.make_environment("FrozenLake-v1"),
 }
 LINES = [line for line in TABLE.replace("\n  ", " ").splitlines() if "  ->  " in line]
@@ -402,6 +404,7 @@ OTHERWISE = {
         *("monte_carlo_value", "record", "record_episodes", "corrected_value"),
         *("ContinuousSimulator.record", "Discretization.policy"),
         "Discretization.closure_error",
+        *("Trials", "Trials.from_successes"),  # names as well
     ],
     "behavior_policy": ["transition_ratio", "compare_with_oracle", "Joint", "Quotient"],
     "simulator": [

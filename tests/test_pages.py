@@ -88,8 +88,11 @@ def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
     assert "mine:smoothed" in (tmp_path / "league" / "league.md").read_text()
 
 
-@pytest.mark.parametrize("page", ["peers", "intervals", "deciding", "statements"])
-def test_pages_print_what_they_show(page, capsys):
+@pytest.mark.parametrize(
+    "page", ["peers", "intervals", "deciding", "statements", "trials"]
+)
+def test_pages_print_what_they_show(page, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert "```text" in PAGES[page]
     run(runnable(page), capsys)
 

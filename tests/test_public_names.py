@@ -10,7 +10,11 @@ NAMES = {
     "oee_tabular": (
         """
         ContinuousTransitions Estimate FiniteMDP Interval Moments Plan Problem RatioFit Report
+<<<<<<< HEAD
         RobustPolicy TransitionCounts TransitionRatio Transitions action_values bench check_assumptions data density_ratio
+=======
+        TransitionCounts TransitionRatio Transitions Trials action_values bench check_assumptions data density_ratio
+>>>>>>> 49750c860274f735e4c6e2f4168014f2def74d47
         doubly_robust_moments efficiency_bound estimators evaluate exact
         Improvement decision improve inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
         policy_value ratio record_episodes report return_moments robust_policy sample_episodes sample_returns sample_transitions
@@ -35,9 +39,10 @@ NAMES = {
     ),
     "oee_tabular.inference": (
         """
-        Comparison Decision EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
+        Comparison Decision EstimationCounterexample Interval JoinedTrials Outlook Plan RowChanges
+        Selection Sides SimulationLemma
         compare_policies corrected_value_error_bound estimation_bound estimation_sides excess_risk interval
-        kl_path_bound kl_path_sides normalised_bound normalised_sides path_kl plan_data_collection ratio_error_bound
+        join_trials kl_path_bound kl_path_sides normalised_bound normalised_sides path_kl plan_data_collection ratio_error_bound
         ratio_error_sides renyi_divergence row_changes selection_measures simulation_lemma squared_error_sides
         sup_error_bound universal_constant_counterexample unnormalised_bound unnormalised_sides
         value_bound_counterexample value_error_bound value_error_sides value_range

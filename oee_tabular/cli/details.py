@@ -73,6 +73,14 @@ DETAILS: dict[str, dict[str, str]] = {
         "state_0=x": "One coordinate of a continuous state.",
         "terminated=": "The files have no such column; nothing else is read as it.",
     },
+    "TRIALS": {
+        "9/12": "9 of 12 trials succeeded; --success says in which states.",
+        "FILE.csv": (
+            "A trial in each row: success (1 or 0) or return, and policy (a name of"
+            " --policy) and weight where there are such columns."
+        ),
+        "eval_info.json": "LeRobot's outcomes of episodes.",
+    },
     "--history": {
         "0 to 5, or more": "This many last actions are part of the state.",
         "auto": "As many as the held-out error asks for.",
@@ -176,7 +184,8 @@ EXIT_CODES = {
 JSON_KEYS = {
     "evaluate": (
         "version, answer, unit, discount, horizon, normalized, confidence, interval,"
-        " seed, facts, results, intervals, best, comparison, conclusion, warnings"
+        " seed, facts, results, intervals, best, comparison, trials,"
+        " conclusion, warnings"
     ),
     "compare": (
         "version, confidence, best (null if the log cannot say), sentence, policies"

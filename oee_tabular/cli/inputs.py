@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import io
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -309,6 +310,8 @@ def read_problem(
     rewards: Any = "simulator",
     behavior: str | None = None,
     column: list[str] | None = None,
+    trials: str | None = None,
+    success: list[str] | None = None,
 ) -> tuple[oee.tasks.NamedTask, oee.Problem]:
     """Read the simulator and the problem with the log's files.
 
@@ -320,6 +323,10 @@ def read_problem(
         The files of one log.
     discount, initial, action_noise, impossible, horizon, rewards, behavior, column
         The values of the options with these names.
+    trials : str, optional
+        Successes of trials, or their file.
+    success : list of str, optional
+        The states whose entering is success.
 
     Returns
     -------
@@ -332,12 +339,17 @@ def read_problem(
     task = task_of(simulator, discount, initial)
     if action_noise:
         task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
+    if success:
+        task = replace(task, mdp=read_success(success, task.mdp, discount, rewards))
+    tried = None if trials is None else read_trials(trials)
     model = task.mdp
     epsilon = _read_impossible(impossible)
     _progress.report_step(f"reading the log {', '.join(log)}")
     recorded = oee.data.read_log(
         log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
     )
+    if success:
+        recorded = _without_rewards(recorded)
     must_refuse: Any = impossible
     if epsilon is not None:
         shape = (model.n_states, model.n_actions)
@@ -350,9 +362,79 @@ def read_problem(
     if behavior is not None:
         more["behavior_policy"] = policy_of(behavior, task, "--behavior")
     problem = oee.Problem(
-        model, recorded, horizon=horizon, impossible=must_refuse, **more
+        model,
+        recorded,
+        horizon=horizon,
+        impossible=must_refuse,
+        trials=tried,
+        **more,
     )
     return task, problem
+
+
+def _without_rewards(recorded: Any) -> Any:
+    """Return a log without rewards, which are of another value than success."""
+    if isinstance(recorded, oee.Transitions):
+        return replace(recorded, reward=None)
+    sums = ("reward_sum", "reward_min", "reward_max", "reward_count")
+    return replace(
+        recorded,
+        sample=None
+        if recorded.sample is None
+        else replace(recorded.sample, reward=None),
+        **dict.fromkeys(sums),
+    )
+
+
+def read_success(
+    states: list[str], mdp: oee.FiniteMDP, discount: float | None, rewards: str
+) -> oee.FiniteMDP:
+    """Make the simulator whose value is the probability to enter one of the states."""
+    if discount not in (None, 1.0):
+        raise ArgumentError(
+            "--discount",
+            f"must be 1 or left out with --success; it is {discount:g}",
+        )
+    if rewards != "simulator":
+        raise ArgumentError(
+            "--rewards",
+            f"must be simulator with --success, which sets them; it is {rewards}",
+        )
+    named: list[Any] = [
+        whole_number(text, "--success") if is_whole_number(text) else text
+        for text in states
+    ]
+    return oee.data.success_simulator(mdp, named)
+
+
+MAX_COUNT_CHARACTERS = 20  # of 9/12, both counts together
+
+
+def read_trials(text: str) -> oee.Trials:
+    """Read SUCCESSES/TRIALS, or a file of trials."""
+    if re.fullmatch(r"\d+/\d+", text):
+        if Path(text).exists():
+            raise ArgumentError(
+                "--trials",
+                f"must be clear: {text!r} are counts, and a file has this name (for the"
+                f" file: --trials ./{text})",
+            )
+        if len(text) > MAX_COUNT_CHARACTERS:
+            raise ArgumentError("--trials", f"must be smaller numbers; got {text[:40]}")
+        successes, number = (int(part) for part in text.split("/"))
+        if number == 0 or successes > number:
+            raise ArgumentError(
+                "--trials",
+                f"must be SUCCESSES/TRIALS with at most as many successes; got {text}",
+            )
+        return oee.Trials.from_successes(successes, number)
+    if Path(text).suffix.lower() in (".csv", ".json"):
+        _progress.report_step(f"reading the trials {text}")
+        return oee.Trials.load(text)
+    raise ArgumentError(
+        "--trials",
+        f"must be SUCCESSES/TRIALS, as 9/12, or a .csv or .json file; got {text!r}",
+    )
 
 
 def _read_impossible(text: str) -> float | None:

@@ -109,6 +109,26 @@ ImpossibleOption = Annotated[
     ),
 ]
 
+TrialsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--trials",
+        metavar="TRIALS",
+        help="Whole runs of the policy in the target: 9/12 (succeeded), .csv or .json.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+SuccessOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--success",
+        metavar="STATE",
+        help="State whose entering is success, repeatable: the value is its probability.",
+        rich_help_panel=INPUT,
+    ),
+]
+
 # ---- value
 
 BoxOption = Annotated[

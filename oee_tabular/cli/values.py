@@ -21,6 +21,7 @@ from oee_tabular.cli.inputs import (
     read_columns,
     read_entries,
     read_problem,
+    read_success,
     task_of,
     write_array,
 )
@@ -49,6 +50,8 @@ from oee_tabular.cli.options import (
     RewardsOption,
     SeedOption,
     SimulatorOption,
+    SuccessOption,
+    TrialsOption,
     UnrecordedOption,
     print_result,
     say,
@@ -116,6 +119,8 @@ def evaluate(
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     impossible: ImpossibleOption = "refuse",
+    trials: TrialsOption = None,
+    success: SuccessOption = None,
     features: Annotated[
         Path | None,
         typer.Option(
@@ -246,6 +251,8 @@ def evaluate(
         "--action-noise": action_noise,
         "--initial": initial,
         "--impossible": impossible,
+        "--trials": trials,
+        "--success": success,
     }
     knob = _read_knob(unrecorded, interval_seconds)
     _refuse_beside_quick(guaranteed is False, box, unrecorded, interval_seconds)
@@ -321,6 +328,8 @@ def evaluate(
             initial=initial,
             action_noise=action_noise,
             impossible=impossible,
+            trials=trials,
+            success=success,
             features=features,
             tie=tie,
             box=box,
@@ -511,6 +520,8 @@ def _evaluate_finite(
     initial: str | None,
     action_noise: float,
     impossible: str,
+    trials: str | None,
+    success: list[str] | None,
     features: Path | None,
     tie: Path | None,
     box: str | None,
@@ -535,6 +546,8 @@ def _evaluate_finite(
         rewards=rewards,
         behavior=behavior,
         column=column,
+        trials=trials,
+        success=success,
     )
     specs = named_specs(policy or ["optimal"])
     facts: dict[str, Any] = {
@@ -554,6 +567,8 @@ def _evaluate_finite(
         facts["columns"] = ", ".join(column)
     if discount is not None:
         facts["discount"] = discount
+    if success:
+        facts["success"] = ", ".join(success)
     if action_noise:
         facts["simulator"] = (
             f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
@@ -565,7 +580,10 @@ def _evaluate_finite(
             facts[name] = f"{path} ({content})"
     true_mdp = None
     if target is not None:
-        true_mdp = task_of(target, task.mdp.discount, initial).mdp
+        known_discount = discount if success else task.mdp.discount
+        true_mdp = task_of(target, known_discount, initial).mdp
+        if success:
+            true_mdp = read_success(success, true_mdp, discount, rewards)
     return evaluate_showing(
         problem,
         policies_of(policy, task),

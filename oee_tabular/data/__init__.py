@@ -39,6 +39,7 @@ of the counts, with a sample of whole episodes for importance sampling.
   of each (s, a, s')
 - ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may
   be given as
+- ``trials.py``: whole runs of a policy of which only the outcome was written
 
 Guaranteed: a file is read by one thread in the order of its rows, and files are added
 in the order of their names, so that one process, several and a cluster give the same
@@ -57,6 +58,9 @@ from oee_tabular.data.opening import has_labels as has_labels
 from oee_tabular.data.opening import open_log
 from oee_tabular.data.opening import read_log as read_log
 from oee_tabular.data.transitions import Transitions
+from oee_tabular.data.trials import Trials, success_simulator
+from oee_tabular.data.trials import require_fit as require_fit
+from oee_tabular.data.trials import success_states as success_states
 
 if TYPE_CHECKING:
     from oee_tabular.continuous import ContinuousTransitions
@@ -65,7 +69,13 @@ if TYPE_CHECKING:
 # here, for counts are made of logs: logs need not know how they are counted
 Transitions.open = staticmethod(open_log)
 
-__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
+__all__ = [
+    "ContinuousTransitions",
+    "TransitionCounts",
+    "Transitions",
+    "Trials",
+    "success_simulator",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import os
 from collections.abc import Sequence
@@ -13,7 +14,14 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.data import TransitionCounts, Transitions, has_labels, read_log
+from oee_tabular.data import (
+    TransitionCounts,
+    Transitions,
+    Trials,
+    has_labels,
+    read_log,
+    require_fit,
+)
 from oee_tabular.data.labels import ColumnsLike
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.findings import Finding
@@ -103,6 +111,9 @@ class Problem:
         What the files or frames of ``log`` and ``episodes`` call a log's columns,
         ``{"state": "pose_before"}`` (``Transitions.load``, ``Transitions.from_frame``).
         It must be left out where both are anything else.
+    trials : Trials, optional
+        The outcomes of whole runs in the target. ``oee.interval`` and ``oee.evaluate``
+        join them with the log (``inference.trials``); estimators use the log alone.
 
     Raises
     ------
@@ -110,7 +121,9 @@ class Problem:
         If states or actions are outside the simulator's; if transitions have simulator
         probability 0 (the first are named); if a terminated transition leads into a
         state that is not terminal in the simulator; if ``rewards`` is "log" and the log
-        has none; if counts have another shape, or are negative, not finite, or all 0.
+        has none; if counts have another shape, or are negative, not finite, or all 0;
+        if the trials have another discount or horizon, or are successes where the
+        problem's value is no probability of success.
 
     See Also
     --------
@@ -148,6 +161,7 @@ class Problem:
         None  # the counts that were given; ``counts`` are those in use
     )
     impossible: Literal["refuse", "drop"] = "refuse"
+    trials: Trials | None = None
 
     def __init__(
         self,
@@ -162,6 +176,7 @@ class Problem:
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
         columns: ColumnsLike | None = None,
+        trials: Trials | None = None,
         _counts: SparseLike
         | None = None,  # dataclasses.replace passes every field by its name
     ) -> None:
@@ -204,6 +219,12 @@ class Problem:
             )
         if counts is not None:
             counts = _check_counts(counts, simulator, may_drop=may_drop)
+        if trials is not None:
+            _checks.instance(trials, Trials, "trials")
+            paying = simulator
+            if rewards == "log":
+                paying = with_log_rewards(simulator, recorded)
+            require_fit(trials, paying, horizon)
         fields = (
             simulator,
             recorded,
@@ -214,6 +235,7 @@ class Problem:
             whole,
             counts,
             impossible,
+            trials,
         )
         for field, value in zip(dataclasses.fields(self), fields, strict=True):
             object.__setattr__(self, field.name, value)
@@ -256,6 +278,8 @@ class Problem:
             ("value", f"sum of discount^t * reward over {self._span}, not normalised"),
             ("rewards of log and simulator", agreement),
         ]
+        if self.trials is not None:
+            rows.append(("trials", self.trials.describe()))
         return _printing.facts("Problem: the value of a policy in the target", rows)
 
     @property
@@ -315,6 +339,16 @@ class Problem:
     def __getstate__(self) -> dict[str, Any]:
         """Return the state of pickles, which leaves out the store of fits."""
         return {name: value for name, value in vars(self).items() if name != "cache"}
+
+    @cached_property
+    def without_trials(self) -> Problem:
+        """Return the same problem without trials, which shares the store of fits."""
+        if self.trials is None:
+            return self
+        alone = copy.copy(self)
+        object.__setattr__(alone, "trials", None)
+        vars(alone)["cache"] = self.cache
+        return alone
 
     @cached_property
     def soft(self) -> bool:

@@ -27,6 +27,9 @@ for all x at once, at any sample size, and V = sum_a pi max_{P'_x} P'_x (r + gam
 ``value_range`` has the box alone, Assumption V.1; ``robust_policies`` finds the policy
 with the largest lower end of it.
 
+*Trials* (``trials``): whole runs of which only the outcome was written, joined with the
+log by one likelihood: {j : D(j) + T(j) <= min + chi^2_1 / 2}.
+
 *Comparison* (``comparison``): differences of the default's values, Cov(J_i, J_j) = f^2
 sum_x Cov_x(G_i, G_j) / max(n_x, 1) with a factor f of .8 to 1, and one rule,
 ``Comparison.decide``, for the ranking, P(best) and every sentence about it.
@@ -51,8 +54,14 @@ from oee_tabular.inference.comparison import (
     compare_policies,
     selection_measures,
 )
-from oee_tabular.inference.intervals import Interval, interval, value_range
+from oee_tabular.inference.intervals import (
+    Interval,
+    interval,
+    join_trials,
+    value_range,
+)
 from oee_tabular.inference.robust_policies import RobustPolicy, robust_policy
+from oee_tabular.inference.trials import JoinedTrials
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,11 +74,13 @@ __all__ = [
     "Comparison",
     "Decision",
     "Interval",
+    "JoinedTrials",
     "RobustPolicy",
     "RowChanges",
     "Selection",
     "compare_policies",
     "interval",
+    "join_trials",
     "robust_policy",
     "row_changes",
     "selection_measures",

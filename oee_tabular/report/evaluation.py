@@ -39,6 +39,13 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
+from oee_tabular.inference.trials import (
+    METHOD,
+    JoinedTrials,
+    find_trials,
+    read_outcomes,
+    require_tried,
+)
 from oee_tabular.mdp import FiniteMDP, check_policies, require_same_available
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
@@ -59,6 +66,9 @@ from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 MIN_LARGE_TRANSITIONS = 200_000
 # the least limit of the time in which a command searches for a large problem's intervals
 MIN_INTERVAL_SECONDS = 30.0
+# what the rows of trials alone, and of log and trials together, are called
+TRIALS = "trials"
+WITH_TRIALS = "oee+trials"
 MAX_FIGURES = 3  # of the worst policies, that a note gives
 
 Pair: TypeAlias = tuple[str, str]  # (policy, estimator)
@@ -287,6 +297,7 @@ def evaluate_showing(
     named = check_policies(policies, simulator, name="policy")
     if not named:
         raise ArgumentError("policies", "must hold at least one; it is empty")
+    require_tried(problem, named)
     known = Premises(lower_ratio, upper_ratio, tie, features, unrecorded)
     check_factor(unrecorded, has_box=known.has_box)
     seconds = check_seconds(interval_seconds, "interval_seconds")
@@ -352,6 +363,8 @@ def _describe_premises(problem: Problem, known: Premises) -> dict[str, Any]:
         "log": problem.log.describe(),
         "rewards": problem.rewards,
     }
+    if problem.trials is not None:
+        about["trials"] = problem.trials.describe()
     if known.has_box:
         about["target"] = str(known)
     return about
@@ -400,6 +413,7 @@ def _write_report(
     scale = 1.0 - simulator.discount if normalized else 1.0
     size = largest_reward(problem.model)
     results = _choose_intervals(results, uncertainty, known, level, scale, size)
+    results = _add_trials(problem, named, results, uncertainty, level)
     front = {name: result.estimate for name, result in first_results(results).items()}
     default = _default_estimates(
         problem, named, results, chosen, uncertainty, level, scale, size
@@ -712,6 +726,59 @@ def _choose_intervals(
         estimate = choose_interval(result.estimate, likelihood, level, scale, size=size)
         chosen.append(replace(result, estimate=estimate))
     return chosen
+
+
+def _add_trials(
+    problem: Problem,
+    policies: Mapping[str, Array],
+    results: Sequence[Result],
+    uncertainty: Uncertainty,
+    level: float,
+) -> list[Result]:
+    """Add to the results of each policy that was tried its trials, and both together.
+
+    The value by both is the one that the report states first.
+    """
+    if problem.trials is None:
+        return list(results)
+    extended: list[Result] = []
+    for name, policy in policies.items():
+        extended += [result for result in results if result.policy == name]
+        trials = find_trials(problem, policy, name)
+        if trials is None:
+            continue
+        outcomes = read_outcomes(problem, policy, trials)
+        error = math.sqrt(outcomes.variance / outcomes.number)
+        alone = Estimate(
+            outcomes.mean,
+            error if error > 0.0 else None,
+            outcomes.ends(level),
+            {
+                "interval_method": "trials",
+                "effective_sample_size": outcomes.number,
+            },
+            is_from_episodes=True,
+        )
+        extended.append(Result(name, TRIALS, alone))
+        both = uncertainty.trials.get(name)
+        if both is not None:
+            extended.append(Result(name, WITH_TRIALS, _estimate_of_both(both)))
+    return extended
+
+
+def _estimate_of_both(both: JoinedTrials) -> Estimate:
+    """Return the value of log and trials together, with the joined interval."""
+    found = both.interval
+    has_interval = found.status == "ok"
+    return Estimate(
+        both.value,
+        both.standard_error,
+        (found.lower, found.upper) if has_interval else None,
+        {"interval_method": METHOD, "effective_sample_size": both.worth}
+        if has_interval
+        else {},
+        is_headline=True,
+    )
 
 
 def _default_estimates(

@@ -18,6 +18,7 @@ from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
+from oee_tabular.inference.trials import METHOD as JOINED
 from oee_tabular.plots import draw_or_warn, figure_png, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain, write_report
@@ -44,6 +45,11 @@ VALUES = {
     "less_by",
     "less_by_lower",
     "less_by_upper",
+    "mean",
+    "trials_lower",
+    "trials_upper",
+    "log_lower",
+    "log_upper",
     "true_value",
     "error",
 }
@@ -227,7 +233,7 @@ class Report:
                 unrecorded = int(likelihood.diagnostics.get("unrecorded_pairs", 0))
             assumption = ""
             is_inner = False
-            if row["interval_method"] == LIKELIHOOD:
+            if row["interval_method"] in (LIKELIHOOD, JOINED):
                 assumption = self.uncertainty.assumptions.get(policy, "")
                 about = {} if likelihood is None else likelihood.diagnostics
                 is_inner = about.get("inner_bounds_of") == "interval"
@@ -362,6 +368,8 @@ class Report:
         likelihood = None
         if method == LIKELIHOOD:
             likelihood = self.uncertainty.likelihood.get(result.policy)
+        elif method == JOINED and result.policy in self.uncertainty.trials:
+            likelihood = self.uncertainty.trials[result.policy].interval
         row = {
             "policy": result.policy,
             "estimator": result.estimator,
@@ -428,6 +436,46 @@ class Report:
         import pandas as pd
 
         return pd.DataFrame(self.records())
+
+    def trials(self) -> list[dict[str, Any]]:
+        """Return what trials and log say of each policy that was tried.
+
+        Returns
+        -------
+        list of dict
+            One row for each of these policies; empty without trials. The keys of a row,
+            with values in the report's unit:
+
+            - ``policy``: name of the policy.
+            - ``value``, ``lower``, ``upper``: the value and the interval by both.
+            - ``number``, ``mean``: the number of trials, and their mean outcome.
+            - ``trials_lower``, ``trials_upper``: the interval by the trials alone.
+            - ``log_lower``, ``log_upper``: the interval by the log alone.
+            - ``p_value``: p-value of the test that both are of one target.
+            - ``worth``: number of trials alone with as narrow an interval.
+            - ``more_trials``, ``more_transitions``: how many more of either halve the
+              interval by the bound, or None.
+        """
+        rows = []
+        for policy, both in self.uncertainty.trials.items():
+            row = {
+                "policy": policy,
+                "value": both.value,
+                "lower": both.interval.lower,
+                "upper": both.interval.upper,
+                "number": both.number,
+                "mean": both.mean,
+                "trials_lower": both.trials[0],
+                "trials_upper": both.trials[1],
+                "log_lower": both.log.lower,
+                "log_upper": both.log.upper,
+                "p_value": both.p_value,
+                "worth": both.worth,
+                "more_trials": both.more_trials,
+                "more_transitions": both.more_transitions,
+            }
+            rows.append(self._in_unit(row))
+        return rows
 
     def comparison(self) -> list[dict[str, Any]]:
         """Compare the policies, best first.
@@ -618,6 +666,7 @@ class Report:
             ],
             "best": self.best,
             "comparison": self.comparison(),
+            "trials": self.trials(),
             "conclusion": list(self.uncertainty.sentences),
             "warnings": list(self.warnings),
         }

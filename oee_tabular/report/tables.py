@@ -45,7 +45,8 @@ def render_comparison(report: Report) -> str:
 
 def render_intervals(report: Report) -> str:
     """Write what likelihood intervals add to a report that was shown without them."""
-    rows = [row for row in report.rows() if row["interval_method"] == "likelihood"]
+    kinds = ("likelihood", "likelihood with trials")
+    rows = [row for row in report.rows() if row["interval_method"] in kinds]
     return join(
         fold(["With the likelihood intervals:"]),
         fold([report.headline]),
@@ -216,7 +217,9 @@ def details(report: Report) -> list[str]:
 
 def inputs(report: Report) -> list[str]:
     """Return the lines on what a value is, and on what it was made from."""
-    keys = [key for key in ("simulator", "log", "target") if key in report.facts]
+    keys = [
+        key for key in ("simulator", "log", "trials", "target") if key in report.facts
+    ]
     return [
         f"Value: {report.unit}",
         *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),

@@ -23,6 +23,11 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
         " a factor (unrecorded=, --unrecorded). With the factor inf: every value that the"
         " log does not reject."
     ),
+    "likelihood with trials": (
+        "every value that log and trials together do not reject. Log and trials are one"
+        " likelihood; the log's part is as in the likelihood interval."
+    ),
+    "trials": ("by the trials alone: Wilson's for successes, Student's for returns."),
     "likelihood under the tie": (
         "every value of the model with this tie that the log does not reject."
     ),
@@ -103,6 +108,8 @@ NO_P_BEST = (
 INTERVAL_AT_ANY_SIZE = "The interval that is guaranteed at any sample size is {}."
 DROPPED = "The interval lets dropped transitions lead anywhere."
 BY_DEFAULT = "By off-environment evaluation (oee): "
+NOT_JOINED = "Without them the trials are not joined with the log."
+RANKED_WITHOUT_TRIALS = "The ranking rests on the log alone, without the trials."
 NEEDS_HORIZON = (
     "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 )
@@ -471,6 +478,70 @@ def stopped(what: str, seconds: float) -> str:
         " (interval_seconds=, --interval-seconds): they are inner bounds, and the"
         f" {what} is at least as wide."
     )
+
+
+# trials
+
+
+def both_sources(
+    mean: float,
+    trials: tuple[float, float],
+    log: tuple[float, float],
+    number: float,
+    confidence: float,
+) -> str:
+    """Say what the trials say alone, and what the log says alone."""
+    level = format_level(confidence)
+    return (
+        f"The {count_trials(number)} alone say {format_value(mean, *trials)} ({level}"
+        f" interval: {format_interval(*trials)}), the log alone says"
+        f" {format_interval(*log)}."
+    )
+
+
+def worth_of_both(number: float, worth: float) -> str:
+    """Say how many trials alone would give as narrow an interval."""
+    return (
+        f"Together they are worth about {round_up(worth)} trials: as many alone would"
+        " have as narrow an interval."
+    )
+
+
+def halve_interval(trials: float, transitions: float) -> str:
+    """Say how many more trials, or transitions, halve the interval."""
+    return (
+        f"To halve the interval takes about {round_up(trials)} more trials, or"
+        f" {round_up(transitions)} more transitions recorded as those of the log"
+        " (by the bound on the variance)."
+    )
+
+
+def contradiction(
+    policy: str, mean: float, log: tuple[float, float], p_value: float, level: float
+) -> str:
+    """Say that the trials of a policy contradict the log."""
+    shown = "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
+    return (
+        f"The trials of “{policy}” and the log contradict each other ({shown}, below"
+        f" {level:g}): the trials' mean is {format_value(mean, *log)}, the log says"
+        f" {format_interval(*log)}. They may be of two targets, of other first states or"
+        " of another policy. The value is that of the trials, and the interval reaches"
+        " over both. Find out which one is wrong before either is used."
+    )
+
+
+def count_trials(number: float) -> str:
+    """Write a number of trials; of weighted ones how many equal ones they are worth."""
+    if number == round(number):
+        return count(round(number), "trial")
+    return f"trials (worth {number:.3g} of equal weight)"
+
+
+def round_up(number: float) -> str:
+    """Write a number of trials or transitions with two digits, at least 1."""
+    whole = max(math.ceil(number), 1)
+    size = 10 ** max(len(str(whole)) - 2, 0)
+    return f"{math.ceil(whole / size) * size:,}"
 
 
 # the table

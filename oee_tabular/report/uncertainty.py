@@ -28,9 +28,14 @@ from oee_tabular.inference import (
 )
 from oee_tabular.inference.comparison import MIN_RECORDED_SHARE, compare_estimates
 from oee_tabular.inference.evidence import Evidence, gather
-from oee_tabular.inference.intervals import interval_without_search
+from oee_tabular.inference.intervals import interval_without_search, join_trials
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
+from oee_tabular.inference.trials import (
+    CONTRADICTION_LEVEL,
+    JoinedTrials,
+    find_trials,
+)
 from oee_tabular.report import text
 from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, BoolArray
@@ -50,10 +55,12 @@ MAX_SHARE_UNTOLD = 0.01
 ERROR_TOLERANCE = 1e-12
 # of the ends, which are found by iteration: a value so close to an end is inside
 END_TOLERANCE = 1e-9
+MIN_SECONDS = 1.0  # in which log and trials are joined where time is over
 # the keys of a policy's intervals; "shared" is the one under a tie or features
 LIKELIHOOD = "likelihood"
 SHARED = "shared"
 GUARANTEED: Final = "robust"
+WITH_TRIALS = "with trials"
 # what ``diagnostics["interval_method"]`` calls the intervals that are set here
 NOISE = "standard error"
 OWN = "the estimator's own"
@@ -137,11 +144,12 @@ class Premises:
         guaranteed: bool,
         seconds: float | None,
     ) -> dict[str, Interval]:
-        """Compute the intervals of a policy, by their keys.
+        """Compute the intervals of a policy by the log alone, by their keys.
 
         Raises ValueError, naming the pairs, where the log contradicts the box. The
         search for a likelihood interval ends after ``seconds``.
         """
+        problem = problem.without_trials
         likelihood = interval(
             problem,
             policy,
@@ -199,6 +207,8 @@ class Uncertainty:
     unanswered : tuple of str
         The policies of which no value is stated above the table, because the log cannot
         say it; ``caveat`` says why.
+    trials : dict of str to JoinedTrials
+        What log and trials say together of each policy that was tried.
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -212,6 +222,7 @@ class Uncertainty:
     assumptions: Mapping[str, str] = field(default_factory=dict)
     default: Mapping[str, Estimate] = field(default_factory=dict)
     unanswered: tuple[str, ...] = ()
+    trials: Mapping[str, JoinedTrials] = field(default_factory=dict)
 
     @property
     def likelihood(self) -> dict[str, Interval]:
@@ -280,6 +291,8 @@ def find_intervals(
         if guaranteed:
             raise ArgumentError("guaranteed", f"must be False here: {lacking}")
         sentence = text.MISSING_INTERVALS.format(lacking)
+        if problem.trials is not None:
+            sentence = f"{sentence} {text.NOT_JOINED}"
         is_infinite = problem.simulator.discount == 1.0 and problem.horizon is None
         if not known.has_box and not is_infinite:
             intervals = {}
@@ -288,6 +301,8 @@ def find_intervals(
                     intervals[name] = found
             if len(intervals) == len(policies):
                 sentence = text.MISSING_WORST_CASES.format(lacking)
+                if problem.trials is not None:
+                    sentence = f"{sentence} {text.NOT_JOINED}"
             return Uncertainty(intervals, (*distance, sentence))
         return Uncertainty(distance=(*distance, sentence))
     intervals = {}
@@ -303,7 +318,35 @@ def find_intervals(
             guaranteed=guaranteed,
             seconds=watch.part(1.0 / (len(policies) - i)).left,
         )
-    return Uncertainty(intervals, distance)
+    joined = _join_trials(problem, policies, level, known, watch)
+    for name, both in joined.items():
+        intervals[name][WITH_TRIALS] = both.interval
+    return Uncertainty(intervals, distance, trials=joined)
+
+
+def _join_trials(
+    problem: Problem,
+    policies: Mapping[str, Array],
+    level: float,
+    known: Premises,
+    watch: _progress.Watch,
+) -> dict[str, JoinedTrials]:
+    """Join the trials of each policy that was tried with the log."""
+    joined = {}
+    for name, policy in policies.items():
+        if find_trials(problem, policy, name) is None:
+            continue
+        _progress.report_step(f"trials of “{name}”")
+        joined[name] = join_trials(
+            problem,
+            policy,
+            name=name,
+            confidence=level,
+            unrecorded=known.unrecorded,
+            seconds=None if watch.left is None else max(watch.left, MIN_SECONDS),
+            **known.box,
+        )
+    return joined
 
 
 def _interval_if_quick(
@@ -548,15 +591,20 @@ def add_comparison(
     for name, methods in found.intervals.items():
         coverage = default[name].diagnostics.get("coverage")
         share = None if coverage is None else 1.0 - coverage
+        quoted = methods.get(WITH_TRIALS, methods[LIKELIHOOD])
         assumptions[name] = _write_assumption(
-            methods[LIKELIHOOD], share, scale, has_box=known.has_box
+            quoted, share, scale, has_box=known.has_box
         )
         sentences = [_describe(methods, scale)]
+        if name in found.trials:
+            sentences.append(_describe_trials(found.trials[name], level, scale))
         if len(policies) > 1:  # that of a single policy stands beside its value
             sentences.insert(0, assumptions[name])
         sentences.append(_explain_distance(problem, policies[name], scale))
         about[name] = " ".join(filter(None, sentences))
     found = replace(found, policies=about, assumptions=assumptions, default=default)
+    if caveat := _write_contradictions(found.trials, scale):
+        found = replace(found, caveat=" ".join(filter(None, (found.caveat, caveat))))
     has_ranking = len(front) > 1 and any(
         math.isfinite(estimate.value) for estimate in front.values()
     )
@@ -572,6 +620,7 @@ def add_comparison(
             problem, policies, default, confidence=each, **known.box
         )
     if comparison is not None and has_ranking:
+        # values with trials stand first, but the ranking is by the log
         decision = comparison.decide(intervals=found.likelihood)
         is_by_default = all(front[name] is default[name] for name in front)
         ranking = _rank(
@@ -582,6 +631,8 @@ def add_comparison(
             scale,
             by_default=is_by_default,
         )
+        if problem.trials is not None:
+            ranking = f"{ranking} {text.RANKED_WITHOUT_TRIALS}"
     return replace(
         found,
         comparison=comparison,
@@ -649,6 +700,33 @@ def _write_assumption(
         scaled(quoted.sampling) if factor > 1.0 else None,
         scaled(anything) if math.isfinite(factor) else None,
         has_box=has_box,
+    )
+
+
+def _describe_trials(both: JoinedTrials, level: float, scale: float) -> str:
+    """Say what log and trials say each, what both are worth, and what to do next."""
+    own = (scale * both.log.lower, scale * both.log.upper)
+    tried = (scale * both.trials[0], scale * both.trials[1])
+    sentences = [text.both_sources(scale * both.mean, tried, own, both.number, level)]
+    if math.isfinite(both.worth) and not both.is_contradicted:
+        sentences.append(text.worth_of_both(both.number, both.worth))
+    if both.more_trials is not None and both.more_transitions is not None:
+        sentences.append(text.halve_interval(both.more_trials, both.more_transitions))
+    return " ".join(sentences)
+
+
+def _write_contradictions(trials: Mapping[str, JoinedTrials], scale: float) -> str:
+    """Say of which policies the trials contradict the log; "" if of none."""
+    return " ".join(
+        text.contradiction(
+            name,
+            scale * both.mean,
+            (scale * both.log.lower, scale * both.log.upper),
+            both.p_value,
+            CONTRADICTION_LEVEL,
+        )
+        for name, both in trials.items()
+        if both.is_contradicted
     )
 
 
