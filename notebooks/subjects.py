@@ -132,6 +132,8 @@ SUBJECTS = {
             "gridworld",
             "gridworld_expert",
             "gridworld_policy",
+            "bus_engines",
+            "BusEngines",
             "toy_text",
             "make_environment",
             "record_episodes",

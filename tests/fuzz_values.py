@@ -191,6 +191,11 @@ def valid_values():
         "estimates": g,
         "truths": p,
         "epsilon": 0.1,
+        "n_months": None,
+        "source": "recorded",
+        "simulator_group": 3,
+        "target_group": 4,
+        "data_policy": uniform,
         "size": SIZE,
         "slip": 0.1,
         "identifier": "FrozenLake-v1",
@@ -359,6 +364,7 @@ def results(values, problem, policies, target, simulator):
         oee.ratio.InClass(features=np.arange(120) % 3.0),
         oee.tasks.gymnasium_simulator("Pendulum-v1"),
         oee.tasks.embedded_default(seed=0),
+        oee.tasks.bus_engines(30, seed=0),
     ]
 
 

@@ -1,6 +1,7 @@
 """Simulators by name, as on the command line.
 
-For example ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8`` or ``file.npz``.
+For example ``gridworld:10,slip=0.3``, ``bus_engines``, ``FrozenLake-v1:map_name=8x8``
+or ``file.npz``.
 Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``,
 which is imported where one may be named.
 """
@@ -20,6 +21,7 @@ from oee_tabular._arguments import arguments, parse_spec
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.buses import bus_model, replacement_policy
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 from oee_tabular.typing import Array
@@ -31,7 +33,7 @@ else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded o
     ContinuousSimulator: TypeAlias = Any
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
-FINITE = ("gridworld",)
+FINITE = ("gridworld", "bus_engines")
 
 
 @checked()
@@ -83,7 +85,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     ----------
     spec : str
         ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task
-        of ours ("gridworld"; "cartpole" on its default grid), a Gymnasium id with a
+        of ours ("gridworld"; "bus_engines", Rust's buses of group 3, or of another
+        group; "cartpole" on its default grid), a Gymnasium id with a
         toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its
         grid); or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
         literals or words.
@@ -122,6 +125,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         return NamedTask(spec, mdp, partial(_plan, mdp))
     if name == "gridworld":
         return _gridworld_task(spec, rest, given)
+    if name == "bus_engines":
+        return _bus_engines_task(spec, rest, given)
     # imported here because the core loads without continuous tasks
     command = importlib.import_module("oee_tabular.continuous.command")
     if command.is_continuous(spec):
@@ -138,16 +143,33 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
 
 def _gridworld_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
     """Make the gridworld that ``rest``, the part of ``spec`` after its name, names."""
-    positional, keywords = arguments(rest)
-    try:
-        bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
-    except TypeError as error:
-        raise ValueError(
-            f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}"
-        ) from None
+    bound = _bind(gridworld, spec, rest, given, "gridworld:10,slip=0.3")
     size = bound.arguments["size"]
     mdp = gridworld(*bound.args, **bound.kwargs)
     return NamedTask(spec, mdp, partial(gridworld_expert, size), grid=size)
+
+
+def _bus_engines_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
+    """Make the model of the group of buses that ``rest`` names, group 3 by default."""
+    bound = _bind(bus_model, spec, rest, given, "bus_engines:group=4")
+    return NamedTask(spec, bus_model(*bound.args, **bound.kwargs), replacement_policy)
+
+
+def _bind(
+    function: Callable[..., FiniteMDP],
+    spec: str,
+    rest: str,
+    given: dict[str, float],
+    example: str,
+) -> inspect.BoundArguments:
+    """Bind the arguments in ``rest`` and those given; an error shows an example."""
+    positional, keywords = arguments(rest)
+    try:
+        return inspect.signature(function).bind(*positional, **(keywords | given))
+    except TypeError as error:
+        raise ValueError(
+            f"simulator {spec!r} must be like {example!r}; {error}"
+        ) from None
 
 
 def _continuous_task(
