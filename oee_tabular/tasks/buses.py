@@ -12,8 +12,11 @@ of a group of buses. Groups 3 and 4 have theta = (.313, .678, .009) and (.398, .
 is Rust's estimate for group 4, and 2.55 for a replacement, about a quarter of his. At
 that cost it pays to replace within the bins that were recorded.
 
-Wear, months and replacements are real; the costs are a choice. One thing is not as in
-the model: of 60 recorded replacements 59 are followed by a month in bin 0.
+Wear, months and replacements are real; the costs are a choice. Two things in the months
+are not as in the model. Old buses are driven less: those of group 4 stay in their bin
+in 30% of the months in bins 20 to 39, and in 59% from bin 60 on. And of 60 recorded
+replacements 59 are followed by a month in bin 0. So all recorded months, each pair
+counted by itself, give the policy -7.42, and the model of group 4 gives it -7.19.
 
 ``bus_engines.csv`` has the counts with their source and licence.
 

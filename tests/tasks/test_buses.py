@@ -7,13 +7,16 @@ from pathlib import Path
 import bus_counts
 import numpy as np
 import pytest
+from benchmarks import buses as study
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
 
 import oee_tabular as oee
 from oee_tabular.estimators import ModelBased, OffEnvironment
 from oee_tabular.exceptions import ArgumentError
+from oee_tabular.inference import compare_policies
 from oee_tabular.ratio import Tied
 from oee_tabular.tasks import BusEngines, bus_engines, named_task
 
@@ -245,3 +248,68 @@ def test_a_tie_needs_a_tenth_of_the_months_that_counting_needs():
     assert rmse["tied at 30"] < 0.5 * rmse["counting at 300"]
     # the default does harm here: it is farther off than the simulator
     assert rmse["default at 30"] > simulator
+
+
+def by_age(state, action, following):
+    """Return keys of the increment and 20 bins of the engine's age."""
+    start = np.where(action == 1, 0, state)
+    return following - start + 3 * (start // 20)
+
+
+def test_the_months_reject_one_wear_and_not_wear_by_age():
+    problem = oee.Problem(BUSES.simulator, BUSES.log)
+    counted = ModelBased(fallback="simulator")(problem, BUSES.policy).value
+    ends = {
+        name: oee.interval(problem, BUSES.policy, tie=tie)
+        for name, tie in (("none", None), ("one", BUSES.tie), ("age", by_age))
+    }
+    found = {name: (round(i.lower, 2), round(i.upper, 2)) for name, i in ends.items()}
+    assert found == {
+        "none": (-7.51, -7.29),
+        "one": (-7.28, -7.11),
+        "age": (-7.49, -7.27),
+    }
+    assert round(counted, 2) == -7.42
+    tied = OffEnvironment(ratio=Tied(by_age))(problem, BUSES.policy).value
+    assert round(tied, 2) == -7.38
+    start = np.where(BUSES.log.action == 1, 0, BUSES.log.state)
+    age = np.minimum(start // 20, 3)
+    grown = increments_of(BUSES.log)
+    table = [np.bincount(grown[age == k], minlength=3) for k in range(4)]
+    found = stats.chi2_contingency(table)
+    assert (round(found.statistic), found.dof) == (111, 6)
+
+
+def test_the_best_bin_of_the_simulator_is_better_in_the_months():
+    assert oee.optimal_policy(BUSES.simulator)[:, 1].argmax() == 43
+    assert oee.optimal_policy(BUSES.target)[:, 1].argmax() == 41
+    other = (np.arange(90) >= 43).astype(int)
+    problem = oee.Problem(BUSES.simulator, BUSES.log)
+    compared = compare_policies(problem, {"43": other, "60": BUSES.policy})
+    assert compared.names[0] == "43"
+    assert_allclose(compared.values[0] - compared.values[1], 0.53, atol=0.005)
+    ends = (compared.lower[1, 0], compared.upper[1, 0])
+    assert_allclose(ends, (-0.65, -0.40), atol=0.006)
+
+
+def test_the_league_marks_them_as_real():
+    found = oee.bench.run("oee", families="rust_buses", sizes=3, seeds=3)
+    assert set(found.league["families"]) == {"real"}
+    assert str(found).startswith("real families")
+    family = oee.bench.families()["rust_buses"]
+    assert_array_equal(family.target.transitions.data, BUSES.target.transitions.data)
+    # a user's own family of that name is not known to be measured
+    mine = oee.bench.run("oee", families={"rust_buses": family}, sizes=3, seeds=1)
+    assert set(mine.league["families"]) == {"held"}
+
+
+def test_the_study_runs(capsys, monkeypatch):
+    """The small twin of the study."""
+    monkeypatch.setattr(study, "SIZES", (30,))
+    monkeypatch.setattr(sys, "argv", ["buses.py", "3"])
+    study.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "{'target': -7.194, 'counted': -7.417}"
+    assert [line.split()[1] for line in lines[1::2]] == [
+        *("simulator", "counting", "default", "tie", "by")
+    ]

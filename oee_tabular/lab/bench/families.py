@@ -384,7 +384,7 @@ MADE: Mapping[str, Maker] = {
     **chains.TRADES,
     "one_way_grid": one_way_grid,
     **SHIFTS,
-    "bus_engines": real_buses,
+    "rust_buses": real_buses,
 }
 LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **LARGE_GARNETS}
 HELD = (  # whose results nobody saw while the default was chosen
@@ -398,7 +398,7 @@ HELD = (  # whose results nobody saw while the default was chosen
     "traffic_hours",
     "web_pages",
 )
-REAL = ("bus_engines",)  # whose simulator and target are both measured
+REAL = ("rust_buses",)  # whose simulator and target are both measured
 
 
 class Families(Mapping[str, Family]):
