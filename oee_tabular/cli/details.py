@@ -33,6 +33,7 @@ _TRANSITION_FILES = {
 DETAILS: dict[str, dict[str, str]] = {
     "SIM": {
         "gridworld:10,slip=0.3": "A built-in task with its arguments.",
+        "bus_engines:group=3": "Rust's bus engines, with the wear of a group, 1 to 4.",
         "FILE.npz": "A saved FiniteMDP.",
         "FrozenLake-v1:map_name=8x8": "A Gymnasium id with its arguments.",
         "MODULE:OBJECT,key=value": (

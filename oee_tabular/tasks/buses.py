@@ -51,6 +51,7 @@ ACTION_NAMES = ("keep", "replace")
 OPERATING_COST_PER_BIN = 0.002293  # a month; Rust's Table IX, group 4
 REPLACEMENT_COST = 2.55
 REPLACED_FROM_BIN = 60  # by the policy of the task
+N_BYTES_PER_MONTH = 64.0  # memory while a log is sampled: eight numbers a transition
 
 
 @checked(shapes={"policy": "S A", "data_policy": "S A", "tie": "E"})
@@ -165,6 +166,7 @@ def bus_engines(
     (300, 4292)
     """
     _checks.one_of(source, "source", ("recorded", "target"))
+    generator = None if seed is None else _checks.generator(seed)
     simulator = bus_model(_group(simulator_group, "simulator_group"), discount=discount)
     group = _group(target_group, "target_group")
     target = bus_model(group, discount=discount)
@@ -172,7 +174,7 @@ def bus_engines(
         simulator,
         target,
         replacement_policy(),
-        _log_of(group, target, n_months, seed, source),
+        _log_of(group, target, n_months, generator, source),
         _recorded_policy(group),
         _increments_of_entries(simulator),
     )
@@ -251,7 +253,7 @@ def _log_of(
     group: int,
     target: FiniteMDP,
     n_months: int | None,
-    seed: Seed | None,
+    generator: np.random.Generator | None,
     source: str,
 ) -> Transitions:
     """Return recorded months, all or some of them, or sampled ones."""
@@ -267,14 +269,15 @@ def _log_of(
         number = n_recorded
     else:
         number = _checks.positive_integer(n_months, "n_months")
-        if seed is None:
+        _checks.require_memory(N_BYTES_PER_MONTH * number, "n_months", number)
+        if generator is None:
             raise ArgumentError(
                 "seed",
                 f"must be given where {number} months are drawn; it is None (seed=0)",
             )
     if source == "target":
         counts = _pair_months(group)
-        return sample_transitions(target, counts / counts.sum(), number, seed=seed)
+        return sample_transitions(target, counts / counts.sum(), number, seed=generator)
     if number > n_recorded:
         raise ArgumentError(
             "n_months",
@@ -285,7 +288,7 @@ def _log_of(
     log = Transitions(bins[row], replaced[row], following[row])
     if n_months is None:
         return log
-    return log.draw(number, seed=seed)
+    return log.draw(number, seed=generator)
 
 
 def _recorded_policy(group: int) -> Array:
