@@ -196,8 +196,10 @@ def bus_model(group: int = 3, *, discount: float = 0.99) -> FiniteMDP:
     costs = np.full((N_BINS, 2), REPLACEMENT_COST)
     costs[:, KEEP] = OPERATING_COST_PER_BIN * np.arange(N_BINS)
     initial = np.eye(1, N_BINS)[0]
+    # a cost of 0 is a reward of 0, not of -0.0
+    rewards = 0.0 - costs
     return FiniteMDP(
-        transitions, -costs, initial, rate, action_names=list(ACTION_NAMES)
+        transitions, rewards, initial, rate, action_names=list(ACTION_NAMES)
     )
 
 
