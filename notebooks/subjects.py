@@ -24,6 +24,7 @@ SUBJECTS = {
     "data": {"Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions")},
     "inference": {
         "How sure": ("interval", "Interval", "value_range"),
+        "The best policy in the worst case": ("robust_policy", "RobustPolicy"),
         "Which policy is better": (
             "compare_policies",
             "Comparison",

@@ -34,6 +34,10 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
         "TransitionCounts",
         "Transitions",
     ),
+    "decision": (
+        "Improvement",
+        "improve",
+    ),
     "design": (
         "Plan",
         "plan_data_collection",
@@ -59,7 +63,9 @@ _EXPORTS: dict[str, tuple[str, ...]] = {
     "exceptions": (),
     "inference": (
         "Interval",
+        "RobustPolicy",
         "interval",
+        "robust_policy",
         "value_range",
     ),
     "mdp": (
@@ -94,6 +100,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from typing import Any
 
     from oee_tabular import data as data
+    from oee_tabular import decision as decision
     from oee_tabular import design as design
     from oee_tabular import estimators as estimators
     from oee_tabular import exact as exact
@@ -111,6 +118,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.data import ContinuousTransitions as ContinuousTransitions
     from oee_tabular.data import TransitionCounts as TransitionCounts
     from oee_tabular.data import Transitions as Transitions
+    from oee_tabular.decision import Improvement as Improvement
+    from oee_tabular.decision import improve as improve
     from oee_tabular.design import Plan as Plan
     from oee_tabular.design import plan_data_collection as plan_data_collection
     from oee_tabular.estimators import Estimate as Estimate
@@ -130,7 +139,9 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.exact import weighted_return_moments as weighted_return_moments
     from oee_tabular.exact.occupancy import occupancy as occupancy
     from oee_tabular.inference import Interval as Interval
+    from oee_tabular.inference import RobustPolicy as RobustPolicy
     from oee_tabular.inference import interval as interval
+    from oee_tabular.inference import robust_policy as robust_policy
     from oee_tabular.inference import value_range as value_range
     from oee_tabular.lab import bench as bench
     from oee_tabular.mdp import FiniteMDP as FiniteMDP

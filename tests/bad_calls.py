@@ -606,6 +606,14 @@ value_range(GRID, UNIFORM, 1.2, 2.0)  ->  lower_ratio must be in [0, 1]
 value_range(GRID, UNIFORM, 0.5, 0.5)  ->  upper_ratio must be in [1, inf]
 value_range(walk(0.5), [0, 0], 0.0, 2.0)  ->  horizon must be given: ... stay for ever ... s=0 is one
 value_range(walk(1.0), [0, 0], 0.5, 2.0)  ->  horizon must be given: ... s=0 has reward -1
+robust_policy(GRID, 1.2, 2.0)  ->  lower_ratio must be in [0, 1]
+robust_policy(GRID, 0.5, 0.5)  ->  upper_ratio must be in [1, inf]
+robust_policy(GRID, 0.5, 2.0, horizon=0)  ->  horizon must be a positive integer
+robust_policy(P, 0.5, 2.0)  ->  simulator must be a FiniteMDP
+robust_policy(walk(0.5), 0.0, 2.0)  ->  horizon must be given: ... stay for ever ... s=0 is one
+robust_policy(walk(1.0), 0.5, 2.0)  ->  horizon must be given: ... s=0 has reward -1
+oee.RobustPolicy(UNIFORM, 1.0, np.array([0.0, 1.0]))  ->  gap must be
+oee.RobustPolicy(UNIFORM[0], 1.0, 0.0)  ->  policy must have shape (states, actions)
 compare_policies(P, [[0] * 9])  ->  policies must be at least two to compare; there is 'policy 0'
 compare_policies(Problem(HUGE, LOG), {"a": UNIFORM, "b": UP})  ->  the simulator's rewards must be at most 1e+140,
 selection_measures([1], [1])  ->  estimates and truths must have one length of at least 2
@@ -623,6 +631,9 @@ plan(STIFF, model=GRID)  ->  model must stay in the simulator's support: ...s=0,
 plan(GRID, restart=0.1)  ->  restart must be left out with sampling 'free'
 plan(GRID, sampling="behavior", restart=1.0)  ->  restart must be in (0, 1)
 plan(GRID, sampling="behavior", restart=1 - 1e-9)  ->  restart must let episodes reach ...; at 1 what
+plan(GRID, minus=UNIFORM[:3])  ->  minus must have shape (9, 4) (states, actions)
+plan(GRID, minus=0.5 * UNIFORM)  ->  minus[0] must sum to 1
+plan(P, minus={"a": UNIFORM, "b": UNIFORM})  ->  minus
 plan(GRID, lower_ratio=1.5)  ->  the box [lower_ratio, upper_ratio] must contain 1
 
 # sampling and tasks

@@ -142,6 +142,7 @@ def valid_values():
         "values_of": None,
         "policy": uniform,
         "behavior_policy": uniform,
+        "minus": uniform,
         "policy_a": uniform,
         "policy_b": expert,
         "weight_of_a": 0.5,

@@ -83,7 +83,7 @@ def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
     assert "mine:smoothed" in (tmp_path / "league" / "league.md").read_text()
 
 
-@pytest.mark.parametrize("page", ["peers", "intervals", "deciding"])
+@pytest.mark.parametrize("page", ["peers", "intervals", "deciding", "statements"])
 def test_pages_print_what_they_show(page, capsys):
     assert "```text" in PAGES[page]
     run(runnable(page), capsys)

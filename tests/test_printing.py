@@ -38,6 +38,11 @@ RESULTS = {
     ),
     "failed estimate": (lambda: Estimate(float("nan"), status="<lost>"), SUM),
     "interval": (lambda: oee.interval(PROBLEM, BOLD), SUM),
+    "robust policy": (lambda: oee.robust_policy(SIMULATOR, 0.5, 2.0), SUM),
+    "plan for a gain": (
+        lambda: oee.plan_data_collection(PROBLEM, POLICIES, n=100, minus=BOLD),
+        SUM,
+    ),
     "no interval": (
         lambda: oee.interval(
             PROBLEM, BOLD, lower_ratio=0.999, upper_ratio=1.001, confidence=0.01

@@ -351,6 +351,11 @@ def best_of_the_log(w):
     }
 
 
+def robust_policies(w):
+    made = oee.robust_policy(w.simulator, 0.5, 2.0, horizon=w.horizon)
+    return {0: [made.policy], 1: [made.value]}
+
+
 def range_of_values(lower, upper):
     def found(w):
         return ends(
@@ -571,6 +576,7 @@ FUNCTIONS = {
     "robust in a box": intervals("robust", lower_ratio=0.1, upper_ratio=9.0),
     "likelihood under a tie": intervals_under("tie"),
     "likelihood under features": intervals_under("features"),
+    "robust policy": robust_policies,
     "range": range_of_values(0.5, 2.0),
     "range without a lower bound": range_of_values(None, 3.0),
     "range without an upper bound": range_of_values(0.25, None),
@@ -740,6 +746,11 @@ def shifted_comparison(w):
     ]
 
 
+def shifted_robust_policy(w):
+    made = oee.robust_policy(w.simulator, 0.5, 2.0, horizon=w.horizon)
+    return [made.value], [made.policy]
+
+
 def shifted_range(w):
     made = oee.value_range(w.simulator, w.policy, 0.5, 2.0, horizon=w.horizon)
     return [made.lower, made.upper], [made.width]
@@ -763,6 +774,7 @@ LEVELS_AND_SPREADS = {
     "delta": shifted_interval(method="delta"),
     "robust": shifted_interval(method="robust"),
     "bootstrap": shifted_interval(method="bootstrap", seed=1, n_bootstrap=30),
+    "robust policy": shifted_robust_policy,
     "range": shifted_range,
     "comparison": shifted_comparison,
     **{

@@ -164,6 +164,10 @@ EXIT_CODES = {
         "The command was refused, by one line on stderr: an option, a file, a folder or"
         " the machine does not allow it."
     ),
+    3: (
+        "The log does not speak for the policy: with `oee compare --expect-best`, the"
+        " first one is not found to be the best."
+    ),
     130: "Ctrl-C ended it. The next run of `reproduce` and `bench` goes on from there.",
 }
 
@@ -178,8 +182,8 @@ JSON_KEYS = {
         " (best first), differences (from the best), warnings"
     ),
     "plan": (
-        "version, sampling, n, confidence, status, gap, policies, most, advice, next,"
-        " file"
+        "version, sampling, n, quantity (value or gain), confidence, status, gap,"
+        " policies, most, advice, next, file"
     ),
     "sample": "version, file, transitions, episodes",
     "policy": "version, file, states, actions",

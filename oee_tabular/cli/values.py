@@ -16,6 +16,7 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import (
     count_log_files,
     policies_of,
+    policy_of,
     read_box,
     read_columns,
     read_entries,
@@ -64,6 +65,8 @@ if TYPE_CHECKING:
     from oee_tabular.report import Report
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
+# the exit code of `compare --expect-best` where the first policy is not the best
+NOT_THE_BEST = 3
 # what these options are when they are not given
 DEFAULTS = (None, 0.0, "refuse", "simulator")
 
@@ -621,6 +624,14 @@ def compare(
     ] = False,
     unrecorded: UnrecordedOption = None,
     interval_seconds: IntervalSecondsOption = None,
+    expect_best: Annotated[
+        bool,
+        typer.Option(
+            "--expect-best",
+            help="End with exit code 3 unless the first policy is found to be the best.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say which of several policies is worth most.
@@ -683,6 +694,8 @@ def compare(
         "warnings": warnings,
     }
     print_result("\n".join(lines), record, as_json)
+    if expect_best and report.best != next(iter(policies)):
+        raise typer.Exit(NOT_THE_BEST)
 
 
 def _difference(row: Mapping[str, Any], best: str) -> dict[str, Any]:
@@ -713,6 +726,15 @@ def plan(
     ],
     column: ColumnOption = None,
     policy: PoliciesOption = None,
+    minus: Annotated[
+        str | None,
+        typer.Option(
+            "--minus",
+            metavar="SPEC",
+            help="Policy that runs now: plan for the gains over it, not for the values.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     impossible: ImpossibleOption = "refuse",
@@ -776,6 +798,8 @@ def plan(
         column=column,
     )
     policies = policies_of(policy, task)
+    if minus is not None:
+        asked["minus"] = policy_of(minus, task, "--minus")
     _progress.report_step(f"plan for {transitions} transitions")
     made = oee.plan_data_collection(
         problem,

@@ -22,7 +22,8 @@ P the simulator: something like another action is carried out, or nothing happen
 Without a box, any distribution on the support of R, with variance (range of G_x / 2)^2.
 In a row with n_x observations, all of the one outcome, that outcome has moreover a
 probability of at least (1 - confidence)^(1 / n_x), the exact (Clopper-Pearson) bound.
-Terminal states cost 0.
+Terminal states cost 0. With a policy ``minus`` what is estimated is the gain J(pi) -
+J(minus), and G is the difference of the two gradients, here and everywhere below.
 
 **Plans** (``collection``, ``programs``, ``plan``). After n more transitions,
 distributed as q, the variance of policy k is sum_x c_kx / (n_x + n q_x). A plan

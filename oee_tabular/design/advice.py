@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from statistics import NormalDist
+from typing import Literal
 
 import numpy as np
 
@@ -56,10 +57,12 @@ def advice_sentence(
     counts: Array,
     optimistic: BoolArray,
     names: Names,
+    of: Literal["value", "gain"] = "value",
 ) -> str:
     """Say which pair to record first, and why.
 
-    ``table`` (K, S, A) are costs, ``counts`` and ``optimistic`` have shape (S, A).
+    ``table`` (K, S, A) are costs, ``counts`` and ``optimistic`` have shape (S, A);
+    ``of`` says what the costs are the variance of.
     """
     if not pairs:
         return NO_ADVICE
@@ -78,7 +81,7 @@ def advice_sentence(
             out=np.zeros_like(total),
             where=total > 0.0,
         )
-        why = f"{so_far}, {shares.mean():.0%} of the value's variance"
+        why = f"{so_far}, {shares.mean():.0%} of the {of}'s variance"
     return f"Record {describe_pair(names, state, action)} first ({why})."
 
 
@@ -98,10 +101,16 @@ def _quote(name: str) -> str:
     return f"“{name}”" if " " in name and not has_brackets else name
 
 
-def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -> str:
+def advice(
+    problem: Problem,
+    policies: Mapping[str, Array],
+    confidence: float,
+    minus: Array | None = None,
+) -> str:
     """Return the advice of ``plan_data_collection`` on the same log and policies.
 
-    Cost: one ratio, and an evaluation and an occupancy for each policy.
+    With ``minus`` it is that for the gains over this policy. Cost: one ratio, and an
+    evaluation and an occupancy for each policy.
     """
     mdp = problem.model
     shape = (mdp.n_states, mdp.n_actions)
@@ -117,6 +126,7 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
         box=Box(0.0, np.inf),
         confidence=confidence,
         optimistic=True,
+        minus=minus,
     )
     pairs = next_pairs(table, counts, shape[1], 1, confidence)
     return advice_sentence(
@@ -125,4 +135,5 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
         counts.reshape(shape),
         optimistic.reshape(shape),
         mdp.names,
+        of="value" if minus is None else "gain",
     )

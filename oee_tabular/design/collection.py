@@ -35,9 +35,14 @@ from oee_tabular.mdp import (
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported
 from oee_tabular.shrinkage import transition_ratio
-from oee_tabular.typing import Array, PoliciesLike
+from oee_tabular.typing import Array, PoliciesLike, PolicyLike
 
 MAX_NEXT_PAIRS = 10  # that a plan lists
+# of values, and of gains
+NOTHING_TO_LEARN = (
+    "nothing to learn: these policies' values depend on no transition probability",
+    "nothing to learn: these policies' gains depend on no transition probability",
+)
 
 
 @suggest_keywords
@@ -57,6 +62,7 @@ def plan_data_collection(
     restart_costs_a_move: bool = False,
     solver: Solver = "auto",
     confidence: float = 0.95,
+    minus: PolicyLike | None = None,
 ) -> Plan:
     """Choose where to record the next n transitions of the target.
 
@@ -113,6 +119,11 @@ def plan_data_collection(
     confidence : float, default 0.95
         The level in (0, 1) of the intervals whose widths are predicted (J ± z standard
         errors).
+    minus : PolicyLike, optional
+        A policy whose value is subtracted, such as the one that runs now. The plan is
+        then for the gains J(policy) - J(minus): it records where the two policies
+        differ, and not where they share what they do not know. None plans for the
+        values J(policy).
 
     Returns
     -------
@@ -139,6 +150,9 @@ def plan_data_collection(
     present standard error infinite. An estimator that shares information between pairs
     (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning.
 
+    With ``minus`` the costs are c_x = Var_{s' ~ P'(.|x)}[dJ_pi / dP' - dJ_minus / dP'].
+    The program and its certificate are the same.
+
     Cost: free sampling, O(S A log(S A)) after two solves for each policy; several
     policies or behaviour, 10 to 40 steps of 20 to 300 products with the collection
     MDP's transitions.
@@ -150,6 +164,18 @@ def plan_data_collection(
     >>> plan = plan_data_collection(simulator, oee.tasks.gridworld_expert(4), n=1000)
     >>> round(plan.expected_standard_error[1], 3), plan.next_pairs[:3]
     (0.106, ((4, 0), (0, 0), (8, 0)))
+
+    The gain over a similar policy that runs now has a smaller error, and is best
+    recorded elsewhere:
+
+    >>> runs = oee.mix(
+    ...     oee.tasks.gridworld_expert(4), oee.uniform_policy(simulator), 0.9
+    ... )
+    >>> gain = plan_data_collection(
+    ...     simulator, oee.tasks.gridworld_expert(4), n=1000, minus=runs
+    ... )
+    >>> round(gain.expected_standard_error[1], 3), gain.next_pairs[:3]
+    (0.014, ((5, 0), (4, 0), (9, 0)))
     """
     _checks.boolean(optimistic, "optimistic")
     _checks.boolean(restart_costs_a_move, "restart_costs_a_move")
@@ -168,6 +194,7 @@ def plan_data_collection(
         )
     named = _check_policies(policies, mdp)
     pis = list(named.values())
+    subtracted = None if minus is None else check_policy(minus, mdp, name="minus")
     if steps is None and mdp.discount == 1.0:
         raise ArgumentError("horizon", "must be given at discount 1")
     truth, source = _check_model(problem, mdp, model)
@@ -180,6 +207,7 @@ def plan_data_collection(
         box=box,
         confidence=level,
         optimistic=optimistic,
+        minus=subtracted,
     )
     collection = None
     if sampling == "behavior":
@@ -198,14 +226,17 @@ def plan_data_collection(
     least = np.zeros(len(pis))
     free = np.zeros(len(pis))
     gap = 0.0
-    status = (
-        "nothing to learn: these policies' values depend on no transition probability"
-    )
+    status = NOTHING_TO_LEARN[subtracted is not None]
     solved_by = "none"
     if matters.any():
         uncertain = [pi for pi, does in zip(pis, matters, strict=True) if does]
         (q, value, bound), least[matters], free[matters] = solve_for_all(
-            costs[matters], base, collection, uncertain, solver
+            costs[matters],
+            base,
+            collection,
+            uncertain,
+            solver,
+            () if subtracted is None else (subtracted,),
         )
         gap = max(0.0, 1.0 - bound / value)
         status = "ok"
@@ -260,6 +291,7 @@ def plan_data_collection(
         solver=solved_by,
         status=status,
         names=mdp.names,
+        is_gain=subtracted is not None,
     )
 
 

@@ -1,5 +1,7 @@
 """Costs of state-action pairs: c_x = Var_{s' ~ P'(.|x)}[G_x(s')], also without spread.
 
+For the difference of two policies' values G_x is the difference of their gradients.
+
 What is plausible in a row where the model has no spread, and its bounds, are stated at
 the door of the room (``oee_tabular.design``).
 """
@@ -29,6 +31,9 @@ ACTION_NOISE = 0.1
 MIN_CERTAIN_PROBABILITY = 1.0 - 1e-12
 # shares of the largest cost, and of the largest G^2: smaller costs are rounding of 0
 COST_TOLERANCES = (1e-24, 1e-28)
+# the same share of the largest G^2 of two policies, where G is subtracted: what two
+# equal gradients leave is the error of two solved systems
+DIFFERENCE_TOLERANCE = 1e-20
 
 
 def row_costs(
@@ -41,24 +46,36 @@ def row_costs(
     box: Box,
     confidence: float,
     optimistic: bool,
+    minus: Array | None = None,
 ) -> tuple[Array, BoolArray]:
     """Compute the costs c_x (K, S*A) of the policies, and which rows are optimistic.
 
     Variances are at ``model``, on the simulator's support, in squared units of J; the
     optimistic rows (S*A,) have the largest plausible variance. ``counts`` (S*A,) are
-    the log's. Cost: one policy evaluation and one occupancy for each policy.
+    the log's. With ``minus`` the costs are those of J(policy) - J(minus). Cost: one
+    policy evaluation and one occupancy for each policy, and for ``minus``.
     """
-    largest = np.maximum.reduceat(model.transitions.data, model.transitions.indptr[:-1])
+    likeliest = np.maximum.reduceat(
+        model.transitions.data, model.transitions.indptr[:-1]
+    )
     is_terminal = np.repeat(simulator.closed(), simulator.n_actions)
-    is_deterministic = largest >= MIN_CERTAIN_PROBABILITY
+    is_deterministic = likeliest >= MIN_CERTAIN_PROBABILITY
     certain = is_deterministic & ~is_terminal & optimistic
     if certain.any():
         model, reference = _add_reference_entries(simulator, model, certain)
         low, high = _bounds(model.transitions, reference, box, counts, confidence)
     matrix = model.transitions
     table = np.zeros((len(policies), len(certain)))
+    subtracted = None
+    if minus is not None:
+        subtracted = transition_gradient(model, minus, horizon=horizon)
     for row, policy in zip(table, policies, strict=True):
         gradient = transition_gradient(model, policy, horizon=horizon)
+        rounding = COST_TOLERANCES[1] * np.abs(gradient).max() ** 2
+        if subtracted is not None:
+            largest = max(np.abs(gradient).max(), np.abs(subtracted).max())
+            rounding = DIFFERENCE_TOLERANCE * largest**2
+            gradient = gradient - subtracted
         row[:] = row_variances(matrix, matrix.data, gradient)
         if certain.any():
             row[certain] = largest_variances(
@@ -69,8 +86,7 @@ def row_costs(
                 high,
             )
         of_cost = COST_TOLERANCES[0] * row.max()
-        of_gradient = COST_TOLERANCES[1] * np.abs(gradient).max() ** 2
-        row[row <= max(of_cost, of_gradient)] = 0.0
+        row[row <= max(of_cost, rounding)] = 0.0
     return table, certain
 
 

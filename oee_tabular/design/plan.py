@@ -131,6 +131,9 @@ class Plan:
         "ok", or why the plan is not the best.
     names : Names
         The names of states and actions.
+    is_gain : bool
+        Whether variances, errors and costs are those of gains J(policy) - J(minus), the
+        differences from a policy that was subtracted, and not of values J(policy).
 
     See Also
     --------
@@ -163,6 +166,7 @@ class Plan:
     solver: str
     status: str = "ok"
     names: Names = NAMELESS
+    is_gain: bool = False
 
     def __post_init__(self) -> None:
         for name, some in (("policies", self.policies), ("costs", self.costs)):
@@ -234,7 +238,12 @@ class Plan:
         """Return the first of ``next_pairs`` in a sentence, as a report does."""
         costs = np.array(list(self.costs.values()))
         return advice_sentence(
-            self.next_pairs, costs, self.counts, self.optimistic, self.names
+            self.next_pairs,
+            costs,
+            self.counts,
+            self.optimistic,
+            self.names,
+            of="gain" if self.is_gain else "value",
         )
 
     def after(self, m: int) -> dict[str, Outlook]:
@@ -283,6 +292,7 @@ class Plan:
         return {
             "sampling": self.sampling,
             "n": self.n,
+            "quantity": "gain" if self.is_gain else "value",
             "confidence": self.confidence,
             "status": self.status,
             "gap": self.gap,
@@ -349,7 +359,7 @@ class Plan:
         lines = [
             (
                 f"Plan for {self.n} transitions, {how}; variances at {self.model};"
-                f" values: {_printing.SUM}"
+                f" {self._quantity}"
             ),
             (
                 f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10}"
@@ -364,6 +374,13 @@ class Plan:
                 f" {o.free_inefficiency:>8.3f}"
             )
         return "\n".join([*lines, *self._notes()])
+
+    @property
+    def _quantity(self) -> str:
+        """Return what the errors and widths are of."""
+        if self.is_gain:
+            return f"gains over the policy that is subtracted: {_printing.SUM}"
+        return f"values: {_printing.SUM}"
 
     def _notes(self) -> list[str]:
         """Return the lines below the table."""
@@ -425,7 +442,7 @@ class Plan:
             "inefficiency",
             "vs. free",
         ]
-        caption = f"Plan for {self.n} transitions; values: {_printing.SUM}"
+        caption = f"Plan for {self.n} transitions; {self._quantity}"
         return _printing.table(header, rows, caption=caption, below=self._notes())
 
 

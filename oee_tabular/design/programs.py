@@ -10,6 +10,7 @@ how q was found.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -134,7 +135,7 @@ class Program:
     base: Array
     collection: FiniteMDP | None
 
-    def start(self, policies: list[Array]) -> Array:
+    def start(self, policies: Sequence[Array]) -> Array:
         """Return a feasible q that is positive where another can usefully be.
 
         It is the best for all costs at once, or what the policies record. Raises
@@ -214,26 +215,29 @@ def solve_for_all(
     collection: FiniteMDP | None,
     policies: list[Array],
     solver: Solver,
+    also: Sequence[Array] = (),
 ) -> tuple[Solution, Array, Array]:
     """Solve the program of all policies, and that of each policy alone.
 
-    Returns the solution, and of each policy the least variance of a plan for it alone:
-    with the sampling of the program, and with free sampling.
+    Rows that only the policies ``also`` visit may have costs as well. Returns the
+    solution, and of each policy the least variance of a plan for it alone: with the
+    sampling of the program, and with free sampling.
     """
     best = [sum_variances(c[None], base, fill(c, base))[0] for c in costs]
     free = np.array([float(value) for value in best])
     scaled = costs / free[:, None]
     if collection is None:
-        return solve(Program(scaled, base, None), policies, solver), free, free
+        program = Program(scaled, base, None)
+        return solve(program, [*policies, *also], solver), free, free
     alone = [
-        solve(Program(scaled[[k]], base, collection), [pi], solver)
+        solve(Program(scaled[[k]], base, collection), [pi, *also], solver)
         for k, pi in enumerate(policies)
     ]
     least = free * np.array([value for _, value, _ in alone])
     if len(policies) == 1:
         return alone[0], least, free
     together = Program(costs / least[:, None], base, collection)
-    return solve(together, policies, solver), least, free
+    return solve(together, [*policies, *also], solver), least, free
 
 
 def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:

@@ -249,9 +249,12 @@ def starts_contradict(
 MADE_FROM_LOG = Finding(
     "selected",
     1.0,
-    "The policy is optimal in the log's own model and not in the simulator, so it was"
+    "The policy is optimal in the log's own model, at least where it differs from the"
+    " recording policy, and not in the simulator or the corrected one, so it was"
     " probably made from this log. The value of such a policy is too large on average,"
-    " and its interval covers less often than it says. Use another log to evaluate it.",
+    " and its interval covers less often than it says: where this was measured, 95%"
+    " intervals missed the true value in a tenth to a third of the logs. Use another"
+    " log to evaluate it, or choose by one half of this log and evaluate by the other.",
 )
 
 

@@ -53,6 +53,7 @@ References: Puterman, Markov Decision Processes, 1994; Berman and Plemmons, Nonn
 Matrices in the Mathematical Sciences, 1994.
 """
 
+from oee_tabular.exact.backup import back_up_pairs as back_up_pairs
 from oee_tabular.exact.backup import back_up_transitions as back_up_transitions
 from oee_tabular.exact.efficiency import (
     efficiency_bound,

@@ -24,7 +24,8 @@ without data are the simulator's.
 
 *Guaranteed* (``robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P}
 for all x at once, at any sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V).
-``value_range`` has the box alone, Assumption V.1.
+``value_range`` has the box alone, Assumption V.1; ``robust_policies`` finds the policy
+with the largest lower end of it.
 
 *Comparison* (``comparison``): differences of the default's values, Cov(J_i, J_j) = f^2
 sum_x Cov_x(G_i, G_j) / max(n_x, 1) with a factor f of .8 to 1, and one rule,
@@ -51,6 +52,7 @@ from oee_tabular.inference.comparison import (
     selection_measures,
 )
 from oee_tabular.inference.intervals import Interval, interval, value_range
+from oee_tabular.inference.robust_policies import RobustPolicy, robust_policy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -63,10 +65,12 @@ __all__ = [
     "Comparison",
     "Decision",
     "Interval",
+    "RobustPolicy",
     "RowChanges",
     "Selection",
     "compare_policies",
     "interval",
+    "robust_policy",
     "row_changes",
     "selection_measures",
     "value_range",

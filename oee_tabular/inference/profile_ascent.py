@@ -35,6 +35,7 @@ Off-policy confidence interval estimation, NeurIPS 2020.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -53,6 +54,7 @@ from oee_tabular.inference._likelihood import (
 )
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.robust import order_by_row
+from oee_tabular.inference.vertices import change_rows
 from oee_tabular.mdp import optional_horizon_length
 from oee_tabular.typing import (
     Array,
@@ -83,6 +85,13 @@ SAME_ROWS = 0.02
 # what a solve may leave of it in large problems
 WARM_SOLVE_TOLERANCE = 1e-3
 COLD_SOLVE_TOLERANCE = 1e-9  # the same, where no previous rows are near
+MAX_ROUGH_DIRECTIONS = 2  # drawn ones, of a rough search
+MAX_CHANGED = 10  # times that the rows of one end are changed
+# of the distance from the reference: what a farther end must add
+LEAST_TURN = 1e-7
+# entries, times steps of a value, times values: what turns of rows may take
+MAX_TURN_WORK = 3 * 10**6
+MIN_VALUES_OF_ALL = 1000  # that these may be where the rows of every end are changed
 MAX_ITERATIONS = 200  # of an ascent; ten are usual
 # iterations in a row that move the end by less than a share ``tolerance`` of its
 # distance from the reference, after which an ascent ends
@@ -215,6 +224,15 @@ class PolicyRows:
         return np.asarray(self.n[self.row] > 0)
 
     @cached_property
+    def weighted(self) -> Array:
+        """Return an array (rows,) above 0 where a gradient is weighted by the time.
+
+        For one policy the time does not matter in rows without data, and r + gamma V
+        does not vanish where it is 0. Of two policies it says which one counts.
+        """
+        return self.n if len(self.parts) == 1 else np.ones_like(self.n)
+
+    @cached_property
     def without_data(self) -> IntArray:
         """Return the entries of rows without data, in the order of the rows."""
         return np.flatnonzero(~self.has_data)
@@ -266,6 +284,11 @@ class PolicyRows:
     def sums(self, values: Array) -> Array:
         """Sum the entries of each row."""
         return np.add.reduceat(values, self.indptr[:-1])
+
+    @property
+    def may_mix(self) -> bool:
+        """Return whether rows without data may be best mixed; J alone is monotone."""
+        return self.n_steps > 0 or len(self.parts) > 1
 
     @property
     def is_sparse(self) -> bool:
@@ -328,7 +351,7 @@ class Ascent:
         self.slack = VALUE_TOLERANCE * min(self.change, width)
         share = min(max(self.slack / width, LIMIT_TOLERANCE), 1e-3)
         trial, self.tau, reached = best_rows(rows, self.x, self.limit, share, self.tau)
-        if rows.n_steps and self.step < 1.0:
+        if rows.may_mix and self.step < 1.0:
             trial = blend(rows, self.step, trial, self.p)
         return trial, reached
 
@@ -433,84 +456,201 @@ def likelihood_ends(
     They end when the ``watch`` says that time is over, half of it for each end.
     """
     watch = Watch(None) if watch is None else watch
-    rows = PolicyRows.from_evidence(evidence, minus)
-    base = _begin(rows, rows.phat)
-    own = _begin(rows, evidence.rows.weights[rows.entries])
-    # half of chi-square's quantile
-    base.limit = float(gammaincinv(0.5, confidence))
-    drawn = _draw_directions(rows)
-    ahead = look_ahead(rows, own.values)
-    low, high = (
-        _find_end(
-            rows,
-            evidence,
-            base,
-            [sign * base.slope, sign * ahead, *drawn],
-            sign,
-            part,
-            minus,
-        )
-        for sign, part in ((-1.0, watch.part(0.5)), (1.0, watch))
-    )
-    return low, high
+    search = Search.begin(evidence, confidence, minus)
+    # half of the time for each end
+    low = search.find_end(-1.0, watch.part(0.5))
+    return low, search.find_end(1.0, watch)
 
 
-def _find_end(
-    rows: PolicyRows,
-    evidence: Evidence,
-    base: Ascent,
-    directions: list[Array],
-    sign: float,
-    watch: Watch,
-    minus: Array | None,
-) -> End:
-    """Find the farthest end of ascents from several directions.
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A search for the ends of a value, or of a gain.
 
-    Each ascent is run until it is known which ones are the farthest; these go on.
+    ``base`` is at the frequencies, ``ahead`` is r + gamma V of the simulator, and
+    ``drawn`` are the drawn directions, one a line.
     """
-    is_large = len(rows.initial) > MAX_DENSE_STATES
-    is_final = True
-    found = []
-    for along in directions:
-        if watch.is_over:
-            is_final = False
-            break
-        ascent = base.towards(sign, along)
-        is_final &= _ascend(rows, ascent, SCOUT_TOLERANCE, watch)
-        found.append(ascent)
-    found.sort(key=lambda ascent: -sign * ascent.value)
-    ends: list[Ascent] = []
-    for ascent in found:
-        behind = sign * (found[0].value - ascent.value)
-        distance = CONTENDING_SHARE * abs(found[0].value - base.value)
-        is_known = any(
-            float(np.abs(ascent.p - other.p).max()) <= SAME_ROWS for other in ends
+
+    evidence: Evidence
+    minus: Array | None
+    rows: PolicyRows
+    base: Ascent
+    ahead: Array
+    drawn: Array
+
+    @classmethod
+    def begin(
+        cls, evidence: Evidence, confidence: float, minus: Array | None = None
+    ) -> Search:
+        """Begin at the frequencies, for a limit of half of chi-square's quantile."""
+        rows = PolicyRows.from_evidence(evidence, minus)
+        base = _begin(rows, rows.phat)
+        own = _begin(rows, evidence.rows.weights[rows.entries])
+        base.limit = float(gammaincinv(0.5, confidence))
+        ahead = look_ahead(rows, own.values)
+        return cls(evidence, minus, rows, base, ahead, _draw_directions(rows))
+
+    @property
+    def is_large(self) -> bool:
+        """Return whether an ascent takes so long that only the best one goes on."""
+        return len(self.rows.initial) > MAX_DENSE_STATES
+
+    @property
+    def _affordable_values(self) -> int:
+        """Return how many values turns of rows may take."""
+        n_steps = self.rows.n_steps or STEPS_PER_INFINITE_VALUE
+        return MAX_TURN_WORK // (len(self.rows.phat) * n_steps)
+
+    def find_end(self, sign: float, watch: Watch, *, is_rough: bool = False) -> End:
+        """Find the farthest end of ascents from several directions.
+
+        Each ascent is run until it is known which ones are the farthest; these go on.
+        The ends of a gain in a small problem are then changed row by row, unless
+        ``is_rough``, which begins from few directions as well.
+        """
+        drawn = self.drawn[:MAX_ROUGH_DIRECTIONS] if is_rough else self.drawn
+        is_final = True
+        found = []
+        for along in [sign * self.base.slope, sign * self.ahead, *drawn]:
+            if watch.is_over:
+                is_final = False
+                break
+            ascent = self.base.towards(sign, along)
+            is_final &= _ascend(self.rows, ascent, SCOUT_TOLERANCE, watch)
+            found.append(ascent)
+        found.sort(key=by(-sign))
+        ends: list[Ascent] = []
+        is_changed = self.minus is not None and not self.is_large and not is_rough
+        # in the smallest problems all of them are changed
+        contending = CONTENDING_SHARE
+        if is_changed and self._affordable_values > MIN_VALUES_OF_ALL:
+            contending = np.inf
+        for ascent in found:
+            behind = sign * (found[0].value - ascent.value)
+            distance = contending * abs(found[0].value - self.base.value)
+            is_known = any(
+                float(np.abs(ascent.p - other.p).max()) <= SAME_ROWS for other in ends
+            )
+            if ends and (behind > distance or is_known or self.is_large):
+                continue
+            is_final &= _ascend(self.rows, ascent, END_TOLERANCE, watch)
+            if np.isinf(contending):
+                self._change_rows(ascent, watch)
+            ends.append(ascent)
+        end = max(ends, key=by(sign), default=self.base)
+        if is_changed and ends:
+            end = self._turn_rows(end, watch)
+        return self._describe(end, sign, is_final=is_final)
+
+    def _describe(self, end: Ascent, sign: float, *, is_final: bool) -> End:
+        """Return the end that an ascent has found, on all entries of the evidence."""
+        rows = self.rows
+        evidence = self.evidence
+        _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
+        best, _, _ = best_rows(rows, sign * end.slope, end.limit, LIMIT_TOLERANCE, 0.0)
+        gains = sign * end.slope * (best - end.p)
+        promised = np.where(rows.has_data, gains, 0.0).sum()
+        whole = evidence.phat.copy()
+        whole[rows.entries] = end.p
+        model = evidence.with_rows(whole)
+        value = policy_value(model, evidence.policy, horizon=evidence.horizon)
+        if self.minus is not None:
+            value -= policy_value(model, self.minus, horizon=evidence.horizon)
+        promised = rows.unit * float(promised)
+        return End(
+            value,
+            whole,
+            promised,
+            end.n_iterations,
+            end.divergence,
+            rows.unit * end.change,
+            is_final,
         )
-        if ends and (behind > distance or is_known or is_large):
-            continue
-        is_final &= _ascend(rows, ascent, END_TOLERANCE, watch)
-        ends.append(ascent)
-    end = max(ends, key=lambda ascent: sign * ascent.value, default=base)
-    _fill_values(rows, end.p, end, COLD_SOLVE_TOLERANCE)
-    best, _, _ = best_rows(rows, sign * end.slope, end.limit, LIMIT_TOLERANCE, 0.0)
-    gains = sign * end.slope * (best - end.p)
-    promised = np.where(rows.has_data, gains, 0.0).sum()
-    whole = evidence.phat.copy()
-    whole[rows.entries] = end.p
-    model = evidence.with_rows(whole)
-    value = policy_value(model, evidence.policy, horizon=evidence.horizon)
-    if minus is not None:
-        value -= policy_value(model, minus, horizon=evidence.horizon)
-    promised = rows.unit * float(promised)
-    return End(
-        value,
-        whole,
-        promised,
-        end.n_iterations,
-        end.divergence,
-        rows.unit * end.change,
-        is_final,
-    )
+
+    def _turn_rows(self, end: Ascent, watch: Watch) -> Ascent:
+        """Look for an end farther out: from directions that turn one row elsewhere.
+
+        Where a row may lead to next states that were never observed, an end is local in
+        the choice of one of them, and of the rows that take the set's limit for it.
+        Each such next state in turn becomes its row's best one, as much as in the row
+        that moves most; what the best of these directions lead to is ascended to its
+        end. The work is limited, and half of it is for finding these directions.
+        """
+        rows = self.rows
+        base = self.base
+        free = np.flatnonzero((rows.phat == 0.0) | ~rows.has_data)
+        starts = rows.indptr[:-1]
+        left = self._affordable_values
+        self._change_rows(end, watch)
+        while left > 0 and len(free):
+            x = end.last_x
+            largest = np.maximum.reduceat(x, starts)
+            spread = largest - np.minimum.reduceat(x, starts)
+            boost = largest[rows.row] + max(float(spread.max()), TINY)
+            # those first to which the end would move most of all
+            merit = end.sign * look_ahead(rows, end.values)
+            merit = merit - np.repeat((end.p * merit)[starts], np.diff(rows.indptr))
+            order = free[np.argsort(-merit[free], kind="stable")][: left // 2 + 1]
+            trials = []
+            for i in order:
+                if watch.is_over:
+                    return end
+                turned = x.copy()
+                turned[i] = boost[i]
+                trial = base.towards(end.sign, turned)
+                p, _, _ = best_rows(rows, turned, base.limit, 1e-3, 0.0)
+                value = _fill_values(rows, p, trial, WARM_SOLVE_TOLERANCE)
+                trials.append((end.sign * value, turned))
+            trials.sort(key=lambda trial: -trial[0])
+            left -= len(trials)
+            best = end
+            for _, turned in trials:
+                if left <= 0:
+                    break
+                ascent = base.towards(end.sign, turned)
+                _ascend(rows, ascent, SCOUT_TOLERANCE, watch)
+                behind = end.sign * (end.value - ascent.value)
+                if behind <= CONTENDING_SHARE * abs(end.value - end.reference):
+                    _ascend(rows, ascent, END_TOLERANCE, watch)
+                    if self._affordable_values > MIN_VALUES_OF_ALL:
+                        self._change_rows(ascent, watch)
+                    best = max(best, ascent, key=by(end.sign))
+                left -= ascent.n_iterations
+            gain = end.sign * (best.value - end.value)
+            if gain <= LEAST_TURN * abs(end.value - end.reference):
+                return max(best, end, key=by(end.sign))
+            end = best
+        return end
+
+    def _change_rows(self, ascent: Ascent, watch: Watch) -> None:
+        """Leave local ends of a gain by changes of single rows, and ascend again."""
+        rows = self.rows
+
+        def evaluate(p: Array) -> float:
+            """Return the gain at rows p."""
+            return _begin(rows, p).value
+
+        for _ in range(MAX_CHANGED):
+            here = _begin(rows, ascent.p)
+            distance = abs(ascent.value - ascent.reference)
+            p, better = change_rows(
+                rows, ascent.p, ascent.sign, here.slope, distance, evaluate
+            )
+            if better == 0.0:
+                return
+            ascent.p = p
+            ascent.value = _fill_values(rows, p, ascent, COLD_SOLVE_TOLERANCE)
+            ascent.gradient = ascent.sign * ascent.slope
+            # rows without data begin anew where they are
+            ascent.last_x = np.where(rows.has_data, ascent.last_x, ascent.gradient)
+            ascent.step = 0.5
+            ascent.x = ascent.last_x + 0.5 * (ascent.gradient - ascent.last_x)
+            ascent.n_iterations = 1
+            _ascend(rows, ascent, END_TOLERANCE, watch)
+
+
+def by(sign: float) -> Callable[[Ascent], float]:
+    """Return the order of ascents in which the last one is farthest on a side."""
+    return lambda ascent: sign * ascent.value
 
 
 def _draw_directions(rows: PolicyRows) -> Array:
@@ -576,10 +716,12 @@ def value_of_rows(rows: PolicyRows, p: Array) -> float:
 
 
 def look_ahead(rows: PolicyRows, values: list[Array]) -> Array:
-    """Return r + gamma V(s') of each entry, summed over the policies by their signs."""
+    """Return r + gamma V(s') of each entry, of a gain sum_k sign_k pi_k (r + gamma V_k)."""
     ahead = np.zeros(len(rows.pay))
+    is_gain = len(rows.parts) > 1
     for part, ours in zip(rows.parts, values, strict=True):
-        ahead += part.sign * (rows.pay + rows.discount * ours[rows.column])
+        share = part.sign * part.weight if is_gain else part.sign
+        ahead += share * (rows.pay + rows.discount * ours[rows.column])
     return ahead
 
 
@@ -606,7 +748,7 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, tolerance: float) -
         ascent.visits[k] = d
         total += sign * value
         slope += sign * gradient
-    if rows.n_steps:
+    if rows.n_steps or len(rows.parts) > 1:
         # where the gradient says nothing of a row without data, r + gamma V does
         starts = rows.indptr[:-1]
         largest = np.maximum.reduceat(slope, starts)
@@ -690,7 +832,7 @@ def centred_gradient(
         weight,
         rows.pay,
         rows.phat,
-        rows.n,
+        rows.weighted,
         rows.discount,
         values,
         visits,

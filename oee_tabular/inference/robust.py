@@ -34,6 +34,7 @@ off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf, log, log1p, sqrt
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -53,7 +54,7 @@ from oee_tabular.exact import (
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp import optional_horizon_length
-from oee_tabular.typing import Array, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 RadiusKind: TypeAlias = Literal["independent", "anytime"]
 
@@ -129,7 +130,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         ahead = (
             evidence.transition_rewards + model.discount * values[evidence.rows.arrival]
         )
-        bound, _ = _solve_rows(evidence, radius, sign * ahead, guesses, p)
+        bound, _ = solve_rows(evidence, radius, sign * ahead, guesses, p)
         return np.asarray((pi * (sign * bound).reshape(pi.shape)).sum(axis=1))
 
     steps = optional_horizon_length(evidence.horizon, model, policy)
@@ -143,7 +144,30 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     left_out = np.zeros(model.n_states, dtype=np.bool_)
     if model.discount == 1.0:
         left_out = ~reached_states(model, policy)
-    values = values_or_zeros(evidence.fitted, policy)
+    values, rise, residual, sweeps = settle_values(
+        evidence, p, sign, left_out, lambda values: back_up(values, policy)
+    )
+    value = dot(model.initial, values)
+    beyond = rise / (1.0 - model.discount) if model.discount < 1.0 else 0.0
+    return Extreme(value, value + sign * beyond, residual, sweeps)
+
+
+def settle_values(
+    evidence: Evidence,
+    p: Array,
+    sign: float,
+    left_out: BoolArray,
+    back_up: Callable[[Array], Array],
+) -> tuple[Array, float, float, int]:
+    """Compute the extreme V (S,) of the evidence's policy over the rows' sets.
+
+    ``back_up`` returns (S,) sum_a pi max P (r + gamma V), and writes the rows that
+    attain it into ``p`` (entries,), which are also what is begun with. States that are
+    ``left_out`` have 0. Returns V, by how much one more step would move it outwards at
+    most, the Bellman residual, and the number of steps.
+    """
+    model = evidence.model
+    values = values_or_zeros(evidence.with_rows(p), evidence.policy)
     values[left_out] = 0.0
     size = largest_reward(model)
     residual = np.inf
@@ -152,7 +176,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     stalled = 0
     while sweeps < MAX_SWEEPS:
         sweeps += 1
-        backed = back_up(values, policy)
+        backed = back_up(values)
         backed[left_out] = 0.0
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last = residual
@@ -161,11 +185,9 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         tolerance = RESIDUAL_TOLERANCE * max(size, float(np.abs(values).max()))
         if residual <= tolerance or stalled >= MAX_STALLED_SWEEPS:
             break
-        values = values_or_zeros(evidence.with_rows(p), policy)
+        values = values_or_zeros(evidence.with_rows(p), evidence.policy)
         values[left_out] = 0.0
-    value = dot(model.initial, values)
-    beyond = rise / (1.0 - model.discount) if model.discount < 1.0 else 0.0
-    return Extreme(value, value + sign * beyond, residual, sweeps)
+    return values, rise, residual, sweeps
 
 
 def find_contradictions(
@@ -177,13 +199,13 @@ def find_contradictions(
     """
     radius = radii(evidence, confidence, kind)
     p = evidence.phat.copy()
-    _, kl = _solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
+    _, kl = solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
     relative, absolute = RADIUS_TOLERANCES
     largest = radius * (1.0 + relative) + absolute
     return np.flatnonzero(np.isfinite(radius) & (kl > largest))
 
 
-def _solve_rows(
+def solve_rows(
     evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array
 ) -> tuple[Array, Array]:
     """Compute certified bounds (S*A,) on max sum P v, and the KL of the maximisers.

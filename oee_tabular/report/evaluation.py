@@ -32,20 +32,17 @@ from oee_tabular.estimators.names import (
 from oee_tabular.estimators.off_environment import estimate_with_rows
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.exact import (
-    Model,
-    action_values,
     largest_reward,
-    occupancy,
     policy_value,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
-from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.intervals import check_factor, check_seconds
 from oee_tabular.inference.shared_parameters import FeaturesLike, TieLike
 from oee_tabular.mdp import FiniteMDP, check_policies
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
+from oee_tabular.report.selection import is_best_in_log
 from oee_tabular.report.uncertainty import (
     LIKELIHOOD,
     SHARED,
@@ -57,8 +54,6 @@ from oee_tabular.report.uncertainty import (
 )
 from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 
-# of the largest action value or reward: a smaller loss is rounding
-OPTIMALITY_TOLERANCE = 1e-9
 # transitions of a simulator from which on a command shows the report before the
 # intervals
 MIN_LARGE_TRANSITIONS = 200_000
@@ -602,31 +597,6 @@ def _check_target(target: FiniteMDP, simulator: FiniteMDP) -> None:
             f" {simulator.n_actions} actions; it has {target.n_states} and"
             f" {target.n_actions}",
         )
-
-
-def is_best_in_log(problem: Problem, policy: Array) -> bool:
-    """Return whether a policy is optimal in the log's model, but not in the simulator.
-
-    The log's model has the log's frequencies, and the simulator's rows in unrecorded
-    state-action pairs. Optimality is without a horizon; at discount 1 the answer is
-    False.
-    """
-    if problem.simulator.discount == 1.0:
-        return False
-    evidence = gather(problem, policy)
-    return _is_optimal(evidence.fitted, policy) and not _is_optimal(
-        problem.model, policy
-    )
-
-
-def _is_optimal(model: Model, policy: Array) -> bool:
-    """Return whether no action beats the policy's own in a state that it reaches."""
-    values = action_values(model, policy)
-    lost = values.max(axis=1) - (policy * values).sum(axis=1)
-    reached = occupancy(model, policy).sum(axis=1) > 0
-    largest = max(largest_reward(model), float(np.abs(values).max()))
-    tolerance = OPTIMALITY_TOLERANCE * largest
-    return bool(lost[reached].max() <= tolerance)
 
 
 def _choose_estimators(

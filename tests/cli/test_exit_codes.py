@@ -153,6 +153,24 @@ def test_a_law_that_does_not_hold_is_1(code):
     assert code("check own_check:broken --repetitions 3") == 1
 
 
+def test_compare_is_3_where_the_first_policy_is_not_found_to_be_the_best(code):
+    best, any_one, near = (
+        f"--policy {name}" for name in ("best=optimal", "any=uniform", "near=mix:0.999")
+    )
+    words = f"compare {DATA} --horizon 30 --quick"
+    assert code(f"{words} --expect-best {best} {any_one}") == 0
+    assert code(f"{words} --expect-best {any_one} {best}") == 3
+    assert code(f"{words} --expect-best {any_one} {best} --json") == 3
+    # without the option another best policy is an answer as well
+    assert code(f"{words} {any_one} {best}") == 0
+    # the same policy twice, and a log that cannot say
+    assert code(f"{words} --expect-best {best} --policy same=optimal") == 3
+    oee.Transitions.load("log.csv").first(12).save("log.csv")
+    assert code(f"{words} --expect-best {best} {near}") == 3
+    # a command that is refused says so by another code
+    assert code(f"{words} --expect-best {best}") == 2
+
+
 @pytest.mark.parametrize("name", LINES)
 def test_ctrl_c_is_130(code, monkeypatch, name):
     def interrupted(*_):

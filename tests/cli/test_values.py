@@ -341,6 +341,26 @@ def test_plan_takes_what_its_function_takes(run, folder):
     )
 
 
+def test_plan_for_the_gain_over_the_policy_that_runs(run, folder):
+    more = "--plan-option model=simulator --policy mix:0.9 --minus uniform --json"
+    found = json.loads(run(PLAN, more))
+    simulator = oee.FiniteMDP.load("sim.npz").with_discount(0.9)
+    best = oee.optimal_policy(simulator)
+    plan = oee.plan_data_collection(
+        oee.Problem(simulator, oee.Transitions.load("log.csv")),
+        oee.mix(best, UNIFORM, 0.9),
+        n=400,
+        sampling="behavior",
+        model="simulator",
+        minus=UNIFORM,
+    )
+    assert found["quantity"] == "gain"
+    assert_allclose(
+        found["policies"][0]["width"], plan.to_dict()["policies"][0]["width"], rtol=1e-9
+    )
+    assert "no such file: nowhere.npy" in run(PLAN, "--minus nowhere.npy", code=2)
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [

@@ -609,3 +609,141 @@ def test_a_pair_without_records_may_be_worth_more_than_one_with_a_record(ratio, 
         model="simulator",
     )
     assert plan.next_pairs[0] == first
+
+
+# ---- plans for gains: the difference of two gradients in place of one
+
+
+def gain_costs(base, policy, minus, horizon=None):
+    """Var_{s'}[dJ_policy / dP(s' | x) - dJ_minus / dP(s' | x)]."""
+    slope = base.slope(policy, horizon) - base.slope(minus, horizon)
+    return (base.P * slope**2).sum(axis=2) - (base.P * slope).sum(axis=2) ** 2
+
+
+@pytest.mark.parametrize("sampling", ["free", "behavior"])
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_plan_for_gains_is_the_least_of_its_own_program(sampling, number):
+    simulator, policies = three()
+    base = Dense(simulator)
+    runs = np.array([[0.5, 0.5], [0.9, 0.1], [0.2, 0.8]])
+    named = dict(list(policies.items())[:number])
+    plan = oee.plan_data_collection(
+        simulator, named, n=200, sampling=sampling, model="simulator", minus=runs
+    )
+    costs = [gain_costs(base, policy, runs).reshape(-1) for policy in named.values()]
+    for name, own in zip(named, costs, strict=True):
+        assert_allclose(plan.costs[name].reshape(-1), own, rtol=1e-9)
+    flow = collected(base, 0.2) if sampling == "behavior" else None
+    _, worst, least = best_shares(costs, np.zeros(6), 200, flow)
+    assert_allclose(plan.inefficiency, worst, rtol=3e-3)
+    assert plan.gap < 2e-3
+    q = plan.distribution.reshape(-1)
+    for outlook, own, alone in zip(plan.policies, costs, least, strict=True):
+        assert_allclose(outlook.variance_after, (own / (200 * q)).sum(), rtol=1e-6)
+        assert_allclose(outlook.inefficiency, outlook.variance_after / alone, rtol=3e-3)
+    assert plan.is_gain
+    assert "gains over the policy that is subtracted" in str(plan)
+    assert "gains over the policy" in plan._repr_html_()
+    assert plan.to_dict()["quantity"] == "gain"
+
+
+@given(rngs)
+@few
+def test_laws_of_plans_for_gains(rng):
+    """No gain over oneself, one plan for both signs, and the same certificate."""
+    mdp = random_mdp(rng)
+    policies = {str(k): random_policy(rng, mdp) for k in range(int(rng.integers(1, 4)))}
+    runs = random_policy(rng, mdp)
+    counts = rng.integers(0, 3, (mdp.n_states, mdp.n_actions))
+    known = Problem(mdp, log_of(mdp, counts)) if counts.any() else mdp
+    world = collection_mdp(mdp, 1 - mdp.discount)
+    others = [oee.occupancy(world, pi) for pi in (runs, *policies.values())]
+    for sampling in ("free", "behavior"):
+        options = {"n": 30, "sampling": sampling, "model": "simulator"}
+        plan = plan_data_collection(known, policies, minus=runs, **options)
+        assert plan.gap < 1e-3
+        for q in others if plan.status == "ok" else ():
+            best = plan.inefficiency * (1 - plan.gap)
+            assert best <= inefficiency(plan, q) * (1 + 1e-9)
+        first = policies["0"]
+        forth = plan_data_collection(known, first, minus=runs, **options)
+        back = plan_data_collection(known, runs, minus=first, **options)
+        size = forth.costs["policy"].max()
+        assert_allclose(
+            forth.costs["policy"], back.costs["policy"], rtol=1e-9, atol=1e-9 * size
+        )
+        assert_allclose(
+            forth.policies[0].variance_after, back.policies[0].variance_after, rtol=3e-3
+        )
+        own = plan_data_collection(known, runs, minus=runs, **options)
+        assert own.status.startswith("nothing to learn: these policies' gains")
+        assert own.expected_width == (0.0, 0.0)
+
+
+@given(rngs)
+@few
+def test_a_plan_for_gains_over_a_policy_without_gradient_is_that_for_values(rng):
+    """The one that runs quits: two ends, that pay the same, so that no transition
+    matters to it.
+    """
+    inner = random_mdp(rng)
+    n, width = inner.n_states, inner.n_actions
+    P = np.zeros((n + 2, width + 1, n + 2))
+    P[:n, :width, :n] = inner.transitions.toarray().reshape(n, width, n)
+    P[:, width, n:] = 0.5
+    P[n:] = np.eye(n + 2)[n:, None, :]
+    pay = np.zeros((n + 2, width + 1))
+    pay[:n, :width] = inner.rewards
+    pay[:n, width] = rng.normal()
+    start = np.append(inner.initial, [0.0, 0.0])
+    mdp = FiniteMDP(P, pay, start, inner.discount)
+    policies = {name: random_policy(rng, mdp) for name in "ab"}
+    quits = np.full(n + 2, width)
+    log = oee.sample_transitions(mdp, np.full(pay.shape, 1 / pay.size), 40, seed=0)
+    for sampling in ("free", "behavior"):
+        options = {"n": 30, "sampling": sampling, "optimistic": False}
+        gain = plan_data_collection(Problem(mdp, log), policies, minus=quits, **options)
+        value = plan_data_collection(Problem(mdp, log), policies, **options)
+        for name in policies:
+            size = value.costs[name].max()
+            assert_allclose(gain.costs[name], value.costs[name], atol=1e-9 * size)
+        if value.status == "ok" and size > 1e-9:
+            assert_allclose(gain.inefficiency, value.inefficiency, rtol=1e-3)
+            assert gain.next_pairs[0] == value.next_pairs[0]
+            assert gain.advice == value.advice.replace("value's", "gain's")
+
+
+@pytest.mark.parametrize("discount", [0.8, 1.0])
+def test_a_plan_for_gains_over_a_horizon(discount):
+    simulator, policies = three(2)
+    simulator = simulator.with_discount(discount)
+    plan = oee.plan_data_collection(
+        simulator, policies["one"], n=50, horizon=4, minus=policies["two"]
+    )
+    own = gain_costs(Dense(simulator), policies["one"], policies["two"], 4)
+    assert_allclose(plan.costs["policy"], own, rtol=1e-9)
+
+
+def test_policies_that_differ_where_no_one_comes_have_nothing_to_learn():
+    """What is left of equal gradients is rounding, also where they are large."""
+    rng = np.random.default_rng(5)
+    P = rng.dirichlet(np.ones(6), size=(6, 2))
+    P[:5, :, 5] = 0.0
+    P[:5] /= P[:5].sum(axis=2, keepdims=True)
+    simulator = FiniteMDP(P, 1e6 * rng.normal(size=6), np.eye(6)[0], 0.9999)
+    policy = rng.dirichlet([1.0, 1.0], size=6)
+    other = policy.copy()
+    other[5] = policy[5, ::-1]
+    plan = plan_data_collection(simulator, policy, n=9, minus=other)
+    assert plan.status.startswith("nothing to learn")
+    assert plan.advice == "More transitions would not narrow it."
+
+
+def test_a_plan_for_a_gain_beats_the_plan_for_the_value_at_it():
+    """What two policies share need not be known for their difference."""
+    runs = oee.mix(POLICY, oee.uniform_policy(SIMULATOR), 0.9)
+    value = plan_data_collection(SIMULATOR, POLICY, n=1000)
+    gain = plan_data_collection(SIMULATOR, POLICY, n=1000, minus=runs)
+    least = variances(gain, gain.distribution)[0]
+    assert least < variances(gain, value.distribution)[0]
+    assert gain.expected_standard_error[1] < 0.5 * value.expected_standard_error[1]

@@ -596,3 +596,28 @@ def test_a_self_normalised_bias_is_kept_where_the_mean_is_exactly_0(case, kind):
     assert abs(moved.bias) > 1e-3
     assert_allclose(zero.bias, moved.bias, rtol=1e-12)
     assert_allclose(zero.variance, moved.variance, rtol=1e-12)
+
+
+@given(rngs)
+@settings(max_examples=20, deadline=None)
+def test_no_control_variate_of_the_first_state_saves_more_than_its_value(rng):
+    """Var G - Var V_0(s_0) is what is left by the best, by every path."""
+    mdp = random_mdp(rng, n_states=3, n_actions=2, discount=0.7)
+    policy = random_policy(rng, mdp)
+    every = paths(mdp, policy, 3)
+    chance = np.array([p for p, _ in every])
+    first = np.array([steps[0][0] for _, steps in every])
+    returns = np.array(
+        [sum(0.7**t * r for t, (*_, r) in enumerate(steps)) for _, steps in every]
+    )
+    moments = oee.return_moments(mdp, policy, horizon=3, sources=True)
+    scale = max(1.0, chance @ returns**2)
+    values = oee.state_values(mdp, policy, horizon=3)
+    spread = mdp.initial @ (values - moments.mean) ** 2
+    assert_allclose(moments.by_step[0], spread, atol=1e-10 * scale)
+    for control in (values, rng.normal(size=3), rng.normal(size=3)):
+        left = returns - control[first]
+        variance = chance @ (left - chance @ left) ** 2
+        assert variance >= moments.variance - spread - 1e-10 * scale
+        if control is values:
+            assert_allclose(variance, moments.variance - spread, atol=1e-10 * scale)

@@ -1,0 +1,179 @@
+"""A decision as sentence, table, JSON and page."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular import _printing
+from oee_tabular.report import plain
+
+if TYPE_CHECKING:
+    from oee_tabular.decision.improvement import Improvement
+
+TITLES = {
+    "deploy": "Deploy the new policy",
+    "keep": "Keep the running policy",
+    "record": "Record more first",
+}
+
+
+def write_number(number: float, *others: float) -> str:
+    """Write a gain with as many digits as its distance from others asks for."""
+    if not math.isfinite(number):
+        return "-"
+    known = [x for x in (number, *others) if math.isfinite(x)]
+    return format(number, _printing.spec(min(known), max(known)))
+
+
+def write_sentence(found: Improvement) -> str:
+    """Write what to do, and the numbers that it rests on."""
+    level = f"{100 * found.confidence:.4g}%"
+    gain = write_number(found.gain, found.gain_lower)
+    lower = write_number(found.gain_lower, found.gain)
+    if found.decision == "deploy":
+        return (
+            f"Deploy “{found.name}”: in the target it gains about {gain} over the"
+            f" running policy, and at least {lower} (lower end of the {level}"
+            " interval)."
+        )
+    if found.decision == "keep":
+        if found.gain == 0.0:
+            return "Keep the running policy: no candidate gains anything over it."
+        return (
+            "Keep the running policy: the best candidate,"
+            f" “{found.name}”, gains about {gain} (lower end of the {level} interval:"
+            f" {lower}), and more transitions cannot show that it is better."
+        )
+    advice = ""
+    if found.plan is not None:
+        number = f"{found.plan.n:,}".replace(",", " ")
+        plural = "s" if found.plan.n > 1 else ""
+        advice = (
+            f" It takes about {number} planned transition{plural} or more."
+            f" {found.plan.advice}"
+        )
+    certified = f"but it may lose {lower.lstrip('-−')}"
+    if not math.isfinite(found.gain_lower):
+        certified = "but it was made from this log's counts, which cannot certify it"
+    elif found.gain_lower == 0.0:
+        certified = "but no gain is certain"
+    return (
+        f"Record more first: “{found.name}” gains about {gain} over the running policy,"
+        f" {certified} (lower end of the {level} interval).{advice}"
+    )
+
+
+def list_rows(found: Improvement) -> list[list[str]]:
+    """Return the header and a row for each candidate, the largest lower end first."""
+    rows = [["candidate", "gain", f"lower end, {100 * found.confidence:.4g}%"]]
+
+    def order(each: Any) -> tuple[float, float]:
+        """Return the lower end and the gain, nan last."""
+        ends = (each.gain_lower, each.gain)
+        return tuple(-x if math.isfinite(x) else math.inf for x in ends)  # type: ignore[return-value]
+
+    for each in sorted(found.candidates, key=order):
+        rows.append(
+            [
+                each.name,
+                write_number(each.gain, each.gain_lower),
+                write_number(each.gain_lower, each.gain),
+            ]
+        )
+    return rows
+
+
+def write_notes(found: Improvement) -> list[str]:
+    """Write what the numbers are, and what they assume."""
+    notes = [
+        f"gain: value less that of the running policy; {_printing.SUM}",
+        (
+            "lower end: the least gain of all models that the log does not reject;"
+            f" {_write_assumption(found)}"
+        ),
+    ]
+    if any(not math.isfinite(each.gain_lower) for each in found.candidates):
+        notes.append(
+            "-: no lower end for a policy that was made from the log's own counts;"
+            " certify it by another log, or by a part of this one (split)"
+        )
+    if found.split is not None:
+        notes.append(
+            f"{_printing.share(found.split)} of the log made the policies, the rest"
+            f" certified them (split, seed {found.seed})"
+        )
+    return notes
+
+
+def _write_assumption(found: Improvement) -> str:
+    """Write what pairs that were never recorded may do."""
+    if math.isinf(found.unrecorded):
+        return "pairs that were never recorded may do anything that is allowed"
+    if found.unrecorded == 1.0:
+        return "pairs that were never recorded behave as estimated"
+    return (
+        "pairs that were never recorded differ from the estimate by at most the factor"
+        f" {found.unrecorded:g}"
+    )
+
+
+def write_text(found: Improvement) -> str:
+    """Write sentence, table and notes for the terminal."""
+    rows = list_rows(found)
+    name, gain, lower = (max(len(row[k]) for row in rows) for k in range(3))
+    lines = [f"{a:<{name}}  {b:>{gain}}  {c:>{lower}}" for a, b, c in rows]
+    return "\n".join([found.sentence, "", *lines, *write_notes(found)])
+
+
+def to_dict(found: Improvement) -> dict[str, Any]:
+    """Return the decision as what JSON holds."""
+    content = {
+        "decision": found.decision,
+        "deploy": found.deploy,
+        "sentence": found.sentence,
+        "policy": found.name,
+        "gain": found.gain,
+        "gain_lower": found.gain_lower,
+        "confidence": found.confidence,
+        "unrecorded": "inf" if math.isinf(found.unrecorded) else found.unrecorded,
+        "split": found.split,
+        "seed": found.seed,
+        "candidates": [
+            {"policy": each.name, "gain": each.gain, "gain_lower": each.gain_lower}
+            for each in found.candidates
+        ],
+        "plan": None if found.plan is None else found.plan.to_dict(),
+    }
+    made: dict[str, Any] = plain(content)
+    return made
+
+
+def render_page(found: Improvement, title: str | None = None) -> str:
+    """Write the page of a decision."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    from oee_tabular.report.page import legible
+
+    header, *rows = list_rows(found)
+    environment = Environment(
+        loader=ChoiceLoader(
+            [
+                PackageLoader("oee_tabular.decision"),
+                PackageLoader("oee_tabular.report"),  # its style
+            ]
+        ),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("decision.html.j2").render(
+        title=title or TITLES[found.decision],
+        sentence=found.sentence,
+        header=header,
+        rows=rows,
+        notes=write_notes(found),
+        plan=None if found.plan is None else str(found.plan),
+    )
+    return legible(page) + "\n"
