@@ -6,6 +6,10 @@ a bootstrap standard error over the draws, and how often their intervals cover t
 truth. SOURCE is that of ``oee.tasks.bus_engines``: "target", where one wear of all bins
 is the truth, or "recorded". There each error is printed from two truths: from the
 target's value, and, as ``counted``, from what counting all 4292 months gives.
+
+python tests/benchmarks/buses.py [DRAWS] improve: how often ``oee.improve`` deploys a
+policy on months sampled from the target, how often the gain in the target is at least
+its lower end where it deploys, and whether what it deploys is better.
 """
 
 import sys
@@ -47,11 +51,39 @@ def measure(n_months, seed, source):
     return found
 
 
+def measure_decisions(n_draws):
+    """Print for each number of months how often improve deploys, and is right."""
+    for n_months in SIZES:
+        gains = []
+        for k in range(n_draws):
+            buses = oee.tasks.bus_engines(n_months, seed=[n_months, k], source="target")
+            problem = oee.Problem(buses.simulator, buses.log)
+            found = oee.improve(problem, buses.policy, seed=0)
+            if found.deploy:
+                value = oee.policy_value(buses.target, found.policy)
+                gain = value - oee.policy_value(buses.target, buses.policy)
+                gains.append((gain, found.gain_lower))
+        share = len(gains) / n_draws
+        error = np.sqrt(share * (1 - share) / n_draws)
+        line = f"{n_months:5} deploys in {share:.2f} ± {error:.2f}"
+        if gains:
+            n_held = sum(gain >= lower for gain, lower in gains)
+            n_worse = sum(gain <= 0 for gain, _ in gains)
+            line += (
+                f"; the bound holds in {n_held} of {len(gains)}, {n_worse} are worse"
+            )
+            line += f"; median gain {np.median([gain for gain, _ in gains]):.2f}"
+        print(line, flush=True)
+
+
 def main():
     """Print a line for each number of months, value and truth."""
     n_draws = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     source = sys.argv[2] if len(sys.argv) > 2 else "recorded"
     warnings.simplefilter("ignore")
+    if source == "improve":
+        measure_decisions(n_draws)
+        return
     whole = oee.tasks.bus_engines()
     truths = {"target": oee.policy_value(whole.target, whole.policy)}
     if source == "recorded":
