@@ -313,3 +313,15 @@ def test_the_study_runs(capsys, monkeypatch):
     assert [line.split()[1] for line in lines[1::2]] == [
         *("simulator", "counting", "default", "tie", "by")
     ]
+
+
+def test_the_study_of_decisions_runs(capsys, monkeypatch):
+    monkeypatch.setattr(study, "SIZES", (30, 1000))
+    monkeypatch.setattr(sys, "argv", ["buses.py", "2", "improve"])
+    study.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:3] for line in lines] == [
+        ["30", "deploys", "in"],
+        ["1000", "deploys", "in"],
+    ]
+    assert "0 are worse" in lines[1]
