@@ -139,6 +139,8 @@ SUBJECTS = {
             "gridworld_expert",
             "gridworld_policy",
             "recycling_robot",
+            "bus_engines",
+            "BusEngines",
             "toy_text",
             "make_environment",
             "record_episodes",

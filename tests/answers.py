@@ -44,6 +44,36 @@ def episodes_for_a_tenth():
     return int(np.ceil(variance / 0.1**2))
 
 
+def months_a_bin():
+    shares = oee.tasks.bus_engines().target.transitions[[0]].toarray()[0, :3]
+    return 1 / (shares @ [0, 1, 2])
+
+
+def best_bin():
+    """By the value of each policy, not by planning."""
+    target = oee.tasks.bus_engines().target
+    values = [
+        oee.policy_value(target, (np.arange(90) >= k).astype(int)) for k in range(90)
+    ]
+    return int(np.argmax(values))
+
+
+def growth_for_half():
+    """The log of 1000 months, and its months four times."""
+    buses = oee.tasks.bus_engines(1000, seed=0, source="target")
+    once = buses.log
+    four = oee.Transitions(
+        *(np.tile(column, 4) for column in (once.state, once.action, once.next_state))
+    )
+    wide, narrow = (
+        oee.interval(
+            oee.Problem(buses.simulator, log), buses.policy, tie=buses.tie
+        ).width
+        for log in (once, four)
+    )
+    return round((wide / narrow) ** 2)
+
+
 def boxed_pair():
     return oee.density_ratio([0.8, 0.2], [0.5, 0.5], upper=1.2).ratio
 
@@ -362,4 +392,7 @@ CASES = {
     ),
     "10_b": (logs_that_show_it, [25, 100, 20, 5], "standard error"),
     "10_c": (leaving, [[0.2, 0.8257], [0.8257, 0.1], [0.0826, 0.2], 0.8257], "allows"),
+    "12_a": (months_a_bin, [0.614, 98, 0.398, 2.51], "mean increment"),
+    "12_b": (growth_for_half, [2, 16, 0.25, 0.5], "square root"),
+    "12_c": (best_bin, [43, 60, 40, 90], "each bin"),
 }

@@ -719,6 +719,19 @@ sample_transitions(GRID, np.ones(4), 5, seed=0)  ->  distribution must have 2 di
 sample_transitions(GRID, np.ones((3, 4)) / 12, 5, seed=0)  ->  distribution must have shape (9, 4)
 sample_episodes(GRID, UNIFORM, 10**14, 5, seed=0)  ->  n_episodes must be small enough for this machine's memory; 1000... GiB
 sample_returns(GRID, UNIFORM, 3, 4, seed=0, zeta=-GRID.transitions)  ->  zeta must be finite and nonnegative; at ... it is -
+bus_engines(30)  ->  seed must be given where 30 months are drawn; it is None (seed=0)
+bus_engines(source="target")  ->  n_months must be given where months are sampled from the target
+bus_engines(4293, seed=0)  ->  n_months must be at most 4292, the recorded months of group 4; it is 4293 (source='target'
+bus_engines(3313, seed=0, target_group=3)  ->  n_months must be at most 3312, the recorded months of group 3
+bus_engines(0, seed=0)  ->  n_months must be a positive integer
+bus_engines(30, seed="x")  ->  seed must
+bus_engines(30, seed=0, source="simulator")  ->  source must be one of 'recorded', 'target'; got 'simulator'
+bus_engines(simulator_group=5)  ->  simulator_group must be one of the groups 1 to 4; it is 5
+bus_engines(target_group=0)  ->  target_group must be a positive integer
+bus_engines(discount=1.01)  ->  discount must be in [0, 1]; it is 1.01
+bus_engines(source="target", n_months=10**14, seed=0)  ->  n_months must be small enough for this machine's memory
+named_task("bus_engines:5")  ->  group must be one of the groups 1 to 4; it is 5
+named_task("bus_engines:groups=4")  ->  simulator 'bus_engines:groups=4' must be like 'bus_engines:group=4'
 toy_text("FrozenLake-v9")  ->  environment ...'FrozenLake-v9' is neither; near: FrozenLake
 gridworld(10**6, 0.1)  ->  size must be small enough for this machine's memory; 1000000 needs ... GiB
 named_task("FrozenLake-v1:success_rate=1/0")  ->  success_rate must be a finite number; '1/0' divides by 0

@@ -193,6 +193,11 @@ def valid_values():
         "estimates": g,
         "truths": p,
         "epsilon": 0.1,
+        "n_months": None,
+        "source": "recorded",
+        "simulator_group": 3,
+        "target_group": 4,
+        "data_policy": uniform,
         "size": SIZE,
         "slip": 0.1,
         "available": np.ones((9, 4), dtype=bool),
@@ -376,6 +381,7 @@ def results(values, problem, policies, target, simulator):
         oee.inference.join_trials(
             tried_problem(problem.simulator, problem.log), policies["uniform"]
         ),
+        oee.tasks.bus_engines(30, seed=0),
     ]
 
 

@@ -32,7 +32,7 @@ _TRANSITION_FILES = {
 # entry that begins with a command is of that command alone
 DETAILS: dict[str, dict[str, str]] = {
     "SIM": {
-        "gridworld:10,slip=0.3": "A built-in task with its arguments.",
+        "gridworld:10,slip=0.3": "A task of ours, or bus_engines:group=3.",
         "FILE.npz": "A saved FiniteMDP.",
         "FILE.umb": "A model of PRISM or Storm, or a saved FiniteMDP.",
         "FrozenLake-v1:map_name=8x8": "A Gymnasium id with its arguments.",

@@ -209,13 +209,13 @@ OTHER_WORDS = {
 
 
 def stem(field: str) -> str:
-    """Return the column of a log of which a label holds all or one coordinate."""
+    """Return the log's column that a label names, whole or by one coordinate."""
     match = NUMBERED.fullmatch(field)
     return match[1] if match else field
 
 
 def find_field(label: Any, has_vectors: bool) -> str | None:
-    """Return the column, or its coordinate, that a label can only mean; else None."""
+    """Return the only column or coordinate that a label can mean, or None."""
     text = plain(label)
     field = FIELDS.get(text)
     if field is not None or not has_vectors:

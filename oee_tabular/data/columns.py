@@ -139,12 +139,12 @@ class LogColumns:
     def _moves(
         state: ColumnLike, action: ColumnLike, next_state: ColumnLike
     ) -> dict[str, Column | None]:
-        """Check the three columns of a transition, each for itself."""
+        """Check each of the three columns of a transition."""
         raise NotImplementedError
 
     @staticmethod
     def _differs(following: Column, state: Column) -> BoolArray:
-        """Say row by row whether a next state and the state that follows it differ."""
+        """Return for each row whether its next state and the state after it differ."""
         return np.asarray(following != state)
 
     def _show(self, state: Column) -> Any:
@@ -470,7 +470,7 @@ def _number_texts(episode: Any) -> Any:
 
 
 def _number_on(parts: Sequence[IntArray]) -> list[IntArray]:
-    """Return the episodes of several logs with numbers that are no other log's."""
+    """Renumber the episodes of several logs so that no two logs share a number."""
     sizes = [int(part.max()) + 1 - min(int(part.min()), 0) for part in parts]
     if sum(sizes) >= 2**63:  # which 64 bits do not hold
         parts = [np.unique(part, return_inverse=True)[1] for part in parts]

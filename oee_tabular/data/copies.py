@@ -86,7 +86,7 @@ def _find_same_bytes(files: Sequence[LogFile]) -> list[tuple[str, str]]:
 
 
 def _group(paths: Iterable[str], n_blocks: int) -> list[list[str]]:
-    """Return the files whose first blocks are the same, -1 for all, two or more each."""
+    """Group files by their first blocks (-1: all of them); a group has two or more."""
     groups = defaultdict[bytes, list[str]](list)
     for path in paths:
         digest = hashlib.sha256()
@@ -245,7 +245,7 @@ def _hash(column: Column) -> Hashes:
 
 
 def _scramble(bits: Hashes) -> Hashes:
-    """Return well-mixed bits of splitmix64."""
+    """Mix the bits of integers as splitmix64 does."""
     with np.errstate(over="ignore"):
         x = bits + _ODD
         x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -254,7 +254,7 @@ def _scramble(bits: Hashes) -> Hashes:
 
 
 def _mix(parts: Sequence[Hashes]) -> Hashes:
-    """Return one hash of several, in their order."""
+    """Combine several hashes into one that depends on their order."""
     total = np.zeros(len(parts[0]), dtype=np.uint64)
     for part in parts:
         with np.errstate(over="ignore"):
@@ -273,7 +273,7 @@ def _hash_windows(rows: Hashes) -> Hashes:
 
 
 def find_shared_rows(one: Print, other: Print) -> int:
-    """Return how many rows of both are copies, 0 where they may be the same by chance."""
+    """Count the rows of both that are copies; 0 where they may agree by chance."""
     windows = [
         np.concatenate([_hash_windows(end) for end in each.rows])
         for each in (one, other)

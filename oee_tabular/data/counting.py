@@ -62,7 +62,7 @@ COUNTED = " (such rows are counted; their episodes are not whole)"
 
 
 class Limits(NamedTuple):
-    """Hold what rows must keep to: numbers below ``sizes`` (states, actions), or names.
+    """Hold the limits of rows: numbers below ``sizes`` (states, actions), or names.
 
     ``drop``: whether other rows are left out. ``kept``: the transitions of the sample.
     ``has_others``: whether an episode may go on in another file. ``columns``: what the
@@ -157,7 +157,7 @@ class Run(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """Hold what of a file may be an episode that goes on in another one.
+    """Hold the episodes of a file that may go on in another file.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class _FileCount:
         return True
 
     def _has_odd_values(self, groups: dict[str, Column], table: Table) -> bool:
-        """Say whether DuckDB's sums need a look at the values themselves.
+        """Return whether DuckDB's sums need a look at the values themselves.
 
         States, actions and flags are replaced by their checked values.
         """
@@ -376,7 +376,7 @@ class _FileCount:
         columns: dict[str, Column],
         faults: dict[str, Fault | None],
     ) -> None:
-        """Let terminated rows without a next state lead to the only one that is an end.
+        """Let terminated rows without a next state lead to the only terminal state.
 
         A row that terminated leads to a state in which an episode is over.
         """
@@ -430,7 +430,7 @@ class _FileCount:
         self.faults[kind] = (*first[:3], first[3] + n)
 
     def _follow(self, columns: dict[str, Column]) -> None:
-        """Note where episodes begin, which are broken, and rows for the sample."""
+        """Record the starts of episodes, broken ones, and rows for the sample."""
         last = self.last or {label: column[:1] for label, column in columns.items()}
         before = {
             label: np.concatenate([last[label], column[:-1]])
@@ -609,7 +609,7 @@ def _item(value: Any) -> Any:
 
 
 def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
-    """Return the chosen rows of columns; the columns themselves where all are."""
+    """Return the chosen rows of columns, or the columns if all are chosen."""
     if chosen.all():
         return columns
     return {label: column[chosen] for label, column in columns.items()}

@@ -483,12 +483,12 @@ class TransitionCounts:
 
 
 def holds_counts(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file holds counts, from the name of its kind alone."""
+    """Return whether a file holds counts, from the name of its kind alone."""
     return _files.kind_of(path) == KIND
 
 
 def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
-    """Raise an ArgumentError with the first value that is not good."""
+    """Raise an ArgumentError that names the first bad value."""
     bad = np.flatnonzero(~is_good)
     if bad.size:
         raise ArgumentError(

@@ -99,7 +99,7 @@ class Format:
         self.columns = check_columns(columns, has_vectors=self.has_vectors)
 
     def with_columns(self, columns: ColumnsLike | None) -> Self:
-        """Return the format of files that call a log's columns so."""
+        """Return the format of files with other names for a log's columns."""
         return type(self)(columns)
 
     def match(self, labels: Iterable[str], name: str) -> Matching:
@@ -132,14 +132,14 @@ class Format:
     def require(
         self, labels: Iterable[str], name: str, taken: Iterable[str] | None = None
     ) -> None:
-        """Raise an ArgumentError where these columns are no log of this kind.
+        """Raise an ArgumentError where the columns do not make a log of this kind.
 
         ``taken``: the columns of a log that were found among the labels.
         """
         require_columns(repr(name), self.required, labels, taken=taken)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
-        """Raise an ArgumentError where a Minari episode is none of such a log."""
+        """Raise an ArgumentError where a Minari episode does not fit such a log."""
         kinds = observations.dtype.kind + actions.dtype.kind
         if observations.ndim != 1 or not set(kinds) <= {"i", "u"}:
             raise ArgumentError(
@@ -151,7 +151,7 @@ class Format:
 
 
 def is_minari_target(form: Format, name: str) -> bool:
-    """Say whether a log of this form is written to ``name`` as a Minari data set."""
+    """Return whether a log of this form is written to ``name`` as a Minari data set."""
     is_bare = Path(name).suffix == "" and not _files.has_ending(name, ENDINGS)
     return form.writes_minari and (name.startswith("minari:") or is_bare)
 
@@ -361,7 +361,7 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
 
 
 def _refuse_again(paths: Sequence[str]) -> None:
-    """Raise an ArgumentError where a path is there twice."""
+    """Raise an ArgumentError where a path is given twice."""
     numbers = Counter(paths)
     again = sorted(str(name) for name, number in numbers.items() if number > 1)
     if again:
@@ -442,7 +442,7 @@ def warn_of_empty_files(paths: Sequence[str], n_files: int) -> None:
 
 
 def _may_be_log(path: Path) -> bool:
-    """Say whether a file that is not read may hold a part of a log."""
+    """Return whether a file that is not read may hold a part of a log."""
     name = path.name.lower()
     is_hidden = any(step.startswith((".", "_")) for step in path.parts)
     return not (
@@ -527,7 +527,7 @@ def _order(path: Path) -> list[list[tuple[int, str]]]:
 
 
 def _is_data_file(path: Path) -> bool:
-    """Say whether a file has the ending of a log and is not hidden."""
+    """Return whether a file has the ending of a log and is not hidden."""
     is_hidden = any(step.startswith((".", "_")) for step in path.parts)
     return not is_hidden and path.name.lower().endswith(ENDINGS)
 

@@ -54,7 +54,7 @@ READ_ROWS = ("compute", "toPandas", "to_pandas", "df")
 
 
 def is_frame(value: object) -> bool:
-    """Say whether ``value`` is an eager or lazy data frame that narwhals knows."""
+    """Return whether ``value`` is an eager or lazy data frame that narwhals knows."""
     if isinstance(value, np.ndarray | Sequence | Mapping):
         return False
     import narwhals as nw
@@ -305,7 +305,7 @@ def episode_columns(episodes: object) -> dict[str, Any]:
 
 
 def _are_rows(given: Sequence[object]) -> bool:
-    """Say whether these are rows, mappings from labels to single values."""
+    """Return whether these are rows, mappings from labels to single values."""
     first = given[0] if given else None
     is_several = (list, tuple, np.ndarray)
     return isinstance(first, Mapping) and not any(
@@ -367,7 +367,7 @@ def _transitions_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...
 def number_in_order(
     items: Sequence[Any], first: dict[Any, int] | None = None
 ) -> tuple[IntArray, dict[Any, int]]:
-    """Number the different items in the order in which they first stand there.
+    """Number distinct items in the order in which they first occur.
 
     The numbers follow those that ``first`` has.
     """
@@ -404,7 +404,7 @@ def encode_names(
     names = list(first)
 
     def find_place(k: int) -> str:
-        """Return where the k-th name stands first."""
+        """Return where the k-th name occurs first."""
         columns = ((column, items) for column, items in found.items())
         return next(
             f"{c}[{items.index(names[k])}]" for c, items in columns if names[k] in items
@@ -445,7 +445,7 @@ def _names_in(value: object, name: str) -> list[Any] | None:
 
 
 def _is_column_name(item: Any) -> bool:
-    """Say whether an item is a name that does not read as a number."""
+    """Return whether an item is a name that does not read as a number."""
     reads_as_number = isinstance(item, str) and is_number_text(item)
     return is_name(item) and not reads_as_number
 
@@ -454,7 +454,7 @@ FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its d
 
 
 def is_minari(name: str) -> bool:
-    """Say whether ``name`` is a Minari folder or id rather than a file.
+    """Return whether ``name`` is a Minari folder or id rather than a file.
 
     Raises FileNotFoundError where it can be neither.
     """

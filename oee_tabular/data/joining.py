@@ -37,7 +37,7 @@ class Row(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Hold whether two rows are of one episode, and what else is to be said.
+    """Hold whether two rows belong to one episode, with a note and a fault.
 
     ``note`` says what speaks against it, ``fault`` what is wrong in either case.
     """
@@ -53,7 +53,7 @@ def judge(
     differs: Callable[[Any, Any], Any] = np.not_equal,
     show: Callable[[Any], Any] = str,
 ) -> Verdict:
-    """Say whether the last row of a file and the first of the next are one episode's.
+    """Decide whether the last row of a file and the first of the next are one episode.
 
     ``differs`` and ``show`` compare and print states.
     """
@@ -194,7 +194,7 @@ class Folders:
 def _parting_folders(
     file: LogFile, known: Iterable[str], named: Mapping[str, str]
 ) -> tuple[tuple[str, str], ...]:
-    """Return the folders that name a column of a log, but for its episodes.
+    """Return the folders that name a column of a log other than the episode.
 
     ``known``: a log's columns. A folder may have another project's label of one, or one
     that was ``named``.
@@ -209,7 +209,7 @@ def _parting_folders(
 
 
 def order_hint(file: LogFile, known: Iterable[str], named: Mapping[str, str]) -> str:
-    """Return what else may be wrong where rows of an episode do not follow each other.
+    """Return a hint for rows of an episode that do not follow each other.
 
     Empty where the file stands in no folder that names a column. ``named``: the columns
     of labels that were given.
@@ -325,10 +325,10 @@ def _require_one_kind(paths: Sequence[str], logs: Sequence[Any]) -> None:
 
 
 def _differs(cls: Any) -> Callable[[Any, Any], Any]:
-    """Return how a log of a class compares two states, given as rows."""
+    """Return the function by which a log of a class compares two states."""
 
     def differs(following: Any, state: Any) -> Any:
-        """Say whether a next state and the state after it differ."""
+        """Return whether a next state and the state after it differ."""
         if isinstance(following, str | tuple) or isinstance(state, str | tuple):
             return following != state
         return cls._differs(np.asarray(following)[None], np.asarray(state)[None])
@@ -346,13 +346,13 @@ def _row(columns: Mapping[str, Column], k: int) -> dict[str, Any]:
 
 
 def _is_first_run(columns: Mapping[str, Column]) -> BoolArray:
-    """Say of each row whether it is of the run of the first episode."""
+    """Return for each row whether it belongs to the first episode."""
     is_other = np.asarray(columns["episode"] != columns["episode"][0], dtype=np.bool_)
     return np.asarray(np.cumsum(is_other) == 0)
 
 
 def _move_first(columns: Mapping[str, Column], shift: int) -> Column:
-    """Return the timesteps with those of the first episode moved."""
+    """Return the timesteps, those of the first episode shifted."""
     return np.asarray(columns["timestep"] + shift * _is_first_run(columns))
 
 

@@ -190,7 +190,7 @@ def match_labels(
 def check_columns(
     columns: object, *, name: str = "columns", has_vectors: bool = False
 ) -> dict[str, Any]:
-    """Check what a file calls a log's columns, and return it; None is nothing.
+    """Check a user's names for a log's columns and return them; None means no names.
 
     Several labels are a tuple.
     """
@@ -258,7 +258,7 @@ def _find_group(
 
 
 def is_label(label: Any, labels: list[Any]) -> bool:
-    """Say whether a label is one of these; what cannot be compared is none."""
+    """Return whether a label is one of these; one that cannot be compared is not."""
     try:
         return label in labels and not isinstance(label, list)
     except (TypeError, ValueError, RecursionError):
@@ -314,7 +314,7 @@ def _require_labels_once(
     """
 
     def fold(label: Any) -> Any:
-        """Return a label without its capitals."""
+        """Return a label in lower case."""
         is_plain = has_capitals or not isinstance(label, str)
         return label if is_plain else label.lower()
 
@@ -329,14 +329,14 @@ def _require_labels_once(
 
 
 def _is_own(label: Any, has_vectors: bool) -> bool:
-    """Say whether a label is one of a log's own."""
+    """Return whether a label is one of a log's own."""
     if not isinstance(label, str):
         return False
     return label in COLUMNS or (has_vectors and NUMBERED.fullmatch(label) is not None)
 
 
 def _choose(field: str, group: list[Any], name: str) -> Any:
-    """Return the only label of a column, or the one that is a log's own in capitals."""
+    """Return a column's only label, or the one that is a log's own but for capitals."""
     same = [label for label in group if plain(label) == field]
     if len(group) == 1 or len(same) == 1:
         return (same or group)[0]
@@ -350,7 +350,7 @@ def _choose(field: str, group: list[Any], name: str) -> Any:
 def _refuse_mixture(
     taken: dict[str, tuple[Any, ...]], left: list[Any], name: str
 ) -> None:
-    """Refuse a state and a next state of two kinds, observed and true, beside others."""
+    """Refuse a state and a next state of which one is observed and one true."""
     groups = [taken.get("state", ()), taken.get("next_state", ())]
     is_observed = {
         "obs" in plain(label) or plain(label) == "ob"
@@ -379,7 +379,7 @@ def _refuse_mixture(
 
 
 def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
-    """Raise an ArgumentError for a label without which a log may lose something."""
+    """Raise an ArgumentError for an unread label that may hold a part of the log."""
     text = plain(label)
     doubt = DOUBTS.get(text)
     if doubt is None:
@@ -413,7 +413,7 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
 
 
 def show_way(field: str, label: Any) -> str:
-    """Return how Python and the command name a column of a log."""
+    """Return how to name a column of a log in Python and in the command."""
     shown = _checks.show(label)
     if not isinstance(label, str):
         return f"columns={{{field!r}: {shown}}}"
@@ -474,7 +474,7 @@ def require_columns(
 
 
 def suggest_columns(required: Sequence[str], labels: Sequence[Any]) -> str:
-    """Return what is to be changed: the separator, or how a label is written.
+    """Suggest what to change: the separator, or how a label is written.
 
     Empty where that cannot be said.
     """
@@ -537,7 +537,7 @@ def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
 
 
 def suggest(label: object, known: Sequence[str], *, quotes: bool = False) -> str:
-    """Return what was probably meant, in words; empty where nothing is near."""
+    """Suggest what was probably meant, in words; empty where nothing is near."""
     text = label if isinstance(label, str) else _checks.show(label)
     near = difflib.get_close_matches(text[:80], known, n=1)
     if not near:

@@ -243,7 +243,7 @@ def _require_finite_sums(sums: Mapping[str, Column]) -> None:
 
 
 def _warn_of_ends(number: int, limits: Limits) -> None:
-    """Warn of terminated rows without a next state, and say where they are read to end."""
+    """Warn of terminated rows without a next state, and say where they end."""
     end = name_text(limits.names[0], limits.end)
     rows = "1 terminated row has" if number == 1 else f"{number} terminated rows have"
     _checks.warn(
@@ -328,7 +328,7 @@ class _Episodes:
         self.sample = self.sample.join(sample, self.limits.kept)
 
     def correct(self, recording: Recording) -> Recording:
-        """Return the sum of the files' recordings with joined episodes as one each."""
+        """Correct the sum of the files' recordings by counting joined episodes once."""
         if not self.n_joined:
             return recording
         return recording._replace(
@@ -372,7 +372,7 @@ def _to_counts(
 def _limits(
     simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None
 ) -> Limits:
-    """Return what states and actions must keep to: a simulator's, or given numbers."""
+    """Return the limits of states and actions: a simulator's, or given numbers."""
     if simulator is not None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if n_states is not None or n_actions is not None:
@@ -394,7 +394,7 @@ def _limits(
 
 
 def refuse_columns(columns: object, source: str) -> None:
-    """Raise an ArgumentError where columns are named of what has its own labels."""
+    """Raise an ArgumentError where ``columns`` is given for a log that is no table."""
     is_empty = isinstance(columns, Mapping) and not columns
     if columns is not None and not is_empty:
         raise ArgumentError(
@@ -410,7 +410,7 @@ def read_log(
     name: str = "log",
     columns: ColumnsLike | None = None,
 ) -> Transitions | TransitionCounts:
-    """Return what was recorded, in the simulator's numbers, of whatever form it has.
+    """Read a log of any form and return it in the simulator's numbers.
 
     ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path,
     or a list of paths, a pattern or a folder. ``name``: what errors call it.
@@ -452,14 +452,14 @@ def read_log(
 
 
 def _are_paths(source: object) -> bool:
-    """Say whether a source of a log is a path, or a list of paths."""
+    """Return whether a source of a log is a path, or a list of paths."""
     is_list = isinstance(source, list | tuple)
     paths: Any = source if is_list and source else (source,)
     return all(isinstance(path, str | os.PathLike) for path in paths)
 
 
 def has_labels(source: object) -> bool:
-    """Say whether a source of a log is a file or a frame, whose columns have labels."""
+    """Return whether a source of a log, a file or a frame, has labels of columns."""
     if isinstance(source, str | os.PathLike):
         return not holds_counts(source)
     if _are_paths(source):
@@ -468,7 +468,7 @@ def has_labels(source: object) -> bool:
 
 
 def _suggest_transitions(value: Any) -> str:
-    """Return a hint how to make a log of what is none, in words."""
+    """Suggest how to make a log of an object that is none."""
     if hasattr(value, "read"):
         return " (an open file: give its name)"
     if isinstance(value, Mapping):

@@ -146,14 +146,14 @@ def as_objects(items: Sequence[Any]) -> Column:
 
 
 def is_missing(value: Any) -> bool:
-    """Say whether a value is None or nan."""
+    """Return whether a value is None or nan."""
     if isinstance(value, float | np.floating):
         return bool(value != value)
     return value is None or (isinstance(value, decimal.Decimal) and value.is_nan())
 
 
 def is_absent(value: Any, own: Container[Any] = ()) -> bool:
-    """Say whether a table's value is missing, or one of the words for that.
+    """Return whether a table's value is missing, or one of the words for that.
 
     ``own``: names of the simulator, which are no such words.
     """
@@ -241,7 +241,7 @@ def to_numbers(raw: Column) -> Column:
 
 
 def _for_each(function: Callable[[Any], Any], items: list[Any]) -> list[Any]:
-    """Return what a function makes of each item, computed once for equal texts."""
+    """Apply a function to each item, once for equal texts."""
     known: dict[str, Any] = {}
     found = []
     for item in items:
@@ -270,7 +270,7 @@ def _parse_number(item: Any) -> int | float:
 
 
 def _is_finite(item: decimal.Decimal | fractions.Fraction) -> bool:
-    """Say whether a number is finite, and small enough to be looked at as an int."""
+    """Return whether a number is finite, and small enough to be looked at as an int."""
     if isinstance(item, decimal.Decimal):
         return item.is_finite() and item.adjusted() < 25
     return True
@@ -403,7 +403,7 @@ def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArr
     words = set(map(plain, labels))
 
     def is_label(item: Any) -> bool:
-        """Say whether a value is a label."""
+        """Return whether a value is a label."""
         return isinstance(item, str) and plain(item[:100]) in words
 
     first, *others = columns.values()
@@ -466,7 +466,7 @@ def check_column(
 
 
 def _flag_as_text(item: Any) -> Any:
-    """Return a truth value as a text, anything else as it is."""
+    """Return a truth value as a text, and any other value unchanged."""
     return str(item) if isinstance(item, bool | np.bool_) else item
 
 
@@ -580,7 +580,7 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
 
 
 def _find_absent(raw: Column) -> BoolArray:
-    """Say of each value whether it is missing."""
+    """Return for each value whether it is missing."""
     if raw.dtype.kind == "f":
         return np.isnan(raw)
     return np.array(_for_each(is_absent, raw.tolist()), dtype=np.bool_)
@@ -649,12 +649,12 @@ def _check_names(
 
 
 def _plain_name(item: Any) -> Any:
-    """Return a text or a tuple as a name has it, anything else as it is."""
+    """Return a text or a tuple as names have it, and any other value unchanged."""
     return to_plain(item) if isinstance(item, str | tuple) else item
 
 
 def _is_no_number(item: Any) -> bool:
-    """Say whether an item is a name: a tuple, or a text that writes no number."""
+    """Return whether an item is a name: a tuple, or a text that writes no number."""
     if isinstance(item, tuple):
         return True
     return isinstance(item, str) and not is_number_text(item)

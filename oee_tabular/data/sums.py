@@ -99,7 +99,7 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
 
 
 def _encode(key: list[IntArray]) -> IntArray:
-    """Return one number for each row of a key, in whose order the numbers are.
+    """Encode the rows of a key as numbers in the same order.
 
     Parts are numbered anew where 64 bits do not hold them.
     """

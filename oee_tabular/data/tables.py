@@ -288,7 +288,7 @@ def _find_other(label: str, raw: Column, text: str) -> int | None:
 
 
 def _lose_headers(path: str, piece: Piece, labels: list[str]) -> Piece:
-    """Return a piece without the rows that hold the header again, which are lost."""
+    """Drop the rows of a piece that repeat the header, and note them as lost."""
     found = find_headers(piece.columns, labels)
     if not found.size:
         return piece
@@ -312,7 +312,7 @@ def read_labels(path: str) -> list[str]:
 
 
 def _plain_labels(labels: Iterable[str]) -> list[str]:
-    """Return labels with one form of each letter, é in one sign where it was in two."""
+    """Return labels in Unicode's composed form: é as one character, not two."""
     return [unicodedata.normalize("NFC", label) for label in labels]
 
 
@@ -374,7 +374,7 @@ class ParquetHeader(NamedTuple):
 
 
 def read_parquet_header(path: str) -> ParquetHeader:
-    """Return the header of a parquet file, of the columns that stand in no other.
+    """Return the header of a parquet file, with its top-level columns.
 
     parquet lists a tree in depth-first order.
     """
@@ -416,7 +416,7 @@ def _durations_of(message: bytes) -> list[str]:
         return int(struct.unpack_from(f"<{kind}", message, place)[0])
 
     def field(table: int, number: int) -> int:
-        """Return where a field of a table stands, 0 where it has its default."""
+        """Return the place of a field of a table, 0 where it has its default."""
         offsets = table - at("i", table)
         is_there = number < at("H", offsets)
         shift = at("H", offsets + number) if is_there else 0
@@ -593,12 +593,12 @@ def _read_digest(path: str) -> tuple[bytes, bytes, int]:
 
 
 def quote_text(text: str) -> str:
-    """Return text as SQL has it."""
+    """Return a text quoted for SQL."""
     return "'" + text.replace("'", "''") + "'"
 
 
 def quote_label(label: str) -> str:
-    """Return the name of a column as SQL has it."""
+    """Return the name of a column quoted for SQL."""
     return '"' + label.replace('"', '""') + '"'
 
 
@@ -620,7 +620,7 @@ def open_csv(path: str, encoding: str | None = None) -> Iterator[Any]:
 
 @contextmanager
 def _csv_errors(path: str) -> Iterator[None]:
-    """Turn whatever cannot be read into an ArgumentError that names the file."""
+    """Turn errors of reading into an ArgumentError that names the file."""
     try:
         yield
     except ArgumentError:
@@ -644,7 +644,7 @@ def _csv_errors(path: str) -> Iterator[None]:
 
 
 class Line(NamedTuple):
-    """Hold the fields of a CSV line, or the rule that it breaks as a whole."""
+    """Hold the fields of a CSV line, or the rule that the line breaks."""
 
     number: int
     fields: list[str]
@@ -708,7 +708,7 @@ def _lines_of_whole_fields(handle: Any, wrong: dict[int, str]) -> Iterator[str]:
 
 
 def _has_whole_fields(text: str) -> bool:
-    """Say whether all quotes of a line close in it, at the end of a field."""
+    """Return whether all quotes of a line close in it, at the end of a field."""
     try:
         return len(list(csv.reader([text], strict=True))) == 1
     except csv.Error:
@@ -737,7 +737,7 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
 
 
 def _is_small(path: str) -> bool:
-    """Say whether a file, unpacked, is as small as Python reads quickly."""
+    """Return whether a file, unpacked, is as small as Python reads quickly."""
     if not path.lower().endswith(".gz"):
         return os.path.getsize(path) < MAX_SMALL_BYTES
     with _csv_errors(path), open_csv(path) as handle:
@@ -751,18 +751,18 @@ class _Recoded:
         self.text = text
 
     def read(self, size: int) -> bytes:
-        """Return about so many bytes."""
+        """Return about the given number of bytes."""
         data: bytes = self.text.read(size).encode()
         return data
 
     def readline(self, size: int) -> bytes:
-        """Return the rest of the line, of at most so many characters."""
+        """Return the rest of the line, at most the given number of characters."""
         data: bytes = self.text.readline(size).encode()
         return data
 
 
 class _Blocks:
-    """Read whole lines of n fields each for pandas, which are over at an odd one.
+    """Read whole lines of n fields each for pandas, up to the first odd line.
 
     A line is odd where pandas might make something else of it than Python does: by its
     number of fields, a quote that spans lines, or a null character. ``is_odd`` says
@@ -801,7 +801,7 @@ class _Blocks:
 
 
 def _is_regular(block: bytes, n: int) -> bool:
-    """Say whether each line has n fields, none of which spans lines.
+    """Return whether each line has n fields, none of which spans lines.
 
     It counts commas, and reads the fields only where that does not tell.
     """

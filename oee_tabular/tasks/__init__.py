@@ -1,6 +1,7 @@
-"""Tasks as finite MDPs: gridworld, recycling robot, Gymnasium's toy text, continuous.
+"""Tasks as finite MDPs: gridworld, robot, buses, Gymnasium's toy text, continuous ones.
 
-The continuous tasks are in ``oee_tabular.continuous``.
+The gridworld is the paper's, the bus engines are real data (Rust, 1987). The continuous
+tasks are in ``oee_tabular.continuous``.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular.tasks.buses import BusEngines, bus_engines
 from oee_tabular.tasks.gridworld import (
     Embedded,
     embedded_default,
@@ -64,6 +66,7 @@ if TYPE_CHECKING:  # continuous tasks are imported on use
 
 # what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
+    "BusEngines",
     "CartPole",
     "ContinuousSimulator",
     "ContinuousTask",
@@ -84,6 +87,7 @@ __all__ = [
     "Settings",
     "StatePolicy",
     "VisitedCells",
+    "bus_engines",
     "cartpole_policy",
     "corrected_value",
     "discretize",

@@ -1,7 +1,7 @@
 """Simulators by name, as on the command line.
 
-For example ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz`` or
-``file.umb``.
+For example ``gridworld:10,slip=0.3``, ``bus_engines``, ``FrozenLake-v1:map_name=8x8``,
+``file.npz`` or ``file.umb``.
 Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``,
 which is imported where one may be named.
 """
@@ -21,6 +21,7 @@ from oee_tabular._arguments import arguments, parse_spec
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.buses import bus_model, replacement_policy
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.recycling_robot import recycling_robot
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
@@ -34,7 +35,7 @@ else:  # for ``typing.get_type_hints``: the room of continuous tasks is loaded o
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
 MDP_ENDINGS = (".npz", ".umb")  # of files that FiniteMDP.load reads
-FINITE = ("gridworld", "recycling_robot")
+FINITE = ("gridworld", "recycling_robot", "bus_engines")
 
 
 @checked()
@@ -86,7 +87,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     ----------
     spec : str
         ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task
-        of ours ("gridworld", "recycling_robot"; "cartpole" on its default grid), a Gymnasium id with a
+        of ours ("gridworld"; "recycling_robot"; "bus_engines", Rust's buses of group 3,
+        or of another group; "cartpole" on its default grid), a Gymnasium id with a
         toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its
         grid); or the path of a file that ``FiniteMDP.load`` reads. Values are Python
         literals or words.
@@ -129,6 +131,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         bound = _bind(recycling_robot, spec, rest, given, "recycling_robot:beta=0.6")
         mdp = recycling_robot(*bound.args, **bound.kwargs)
         return NamedTask(spec, mdp, partial(_plan, mdp))
+    if name == "bus_engines":
+        return _bus_engines_task(spec, rest, given)
     # imported here because the core loads without continuous tasks
     command = importlib.import_module("oee_tabular.continuous.command")
     if command.is_continuous(spec):
@@ -149,6 +153,12 @@ def _gridworld_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
     size = bound.arguments["size"]
     mdp = gridworld(*bound.args, **bound.kwargs)
     return NamedTask(spec, mdp, partial(gridworld_expert, size), grid=size)
+
+
+def _bus_engines_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
+    """Make the model of the group of buses that ``rest`` names, group 3 by default."""
+    bound = _bind(bus_model, spec, rest, given, "bus_engines:group=4")
+    return NamedTask(spec, bus_model(*bound.args, **bound.kwargs), replacement_policy)
 
 
 def _bind(

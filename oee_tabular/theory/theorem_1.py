@@ -22,7 +22,7 @@ from oee_tabular.typing import Array, RealArrayLike
 @checked()
 @dataclass(frozen=True)
 class Sides:
-    """Both sides of an inequality ``left <= right``, without any tolerance.
+    """Hold both sides of an inequality ``left <= right``, without any tolerance.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ def estimation_sides(
 @checked()
 @dataclass(frozen=True)
 class EstimationCounterexample(Sides):
-    """A counterexample to Theorem V.1 with K = 1, whose ``ratio`` is the K it needs.
+    """Hold a counterexample to Theorem V.1 with K = 1; ``ratio`` is the K it needs.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ RatioLike: TypeAlias = SparseLike | TransitionRatio
 @checked()
 @dataclass(frozen=True)
 class SimulationLemma:
-    """The difference of two values, computed in three ways that are equal.
+    """Hold the difference of two values, computed in three ways that are equal.
 
     Attributes
     ----------

@@ -54,9 +54,9 @@ def test_a_missing_answer_is_reported(name, capsys):
 
 def test_an_exercise_that_is_not_there():
     with pytest.raises(
-        ValueError, match=r"exercise must be one of 00_a, 01_a, .*; it is '12_a'"
+        ValueError, match=r"exercise must be one of 00_a, 01_a, .*; it is '13_a'"
     ):
-        check("12_a", 1.0)
+        check("13_a", 1.0)
 
 
 def test_a_tilt_gives_equal_next_states_equal_ratios():

@@ -42,7 +42,13 @@ from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.adapters import PEERS, Peer
-from oee_tabular.lab.bench.families import HELD, Families, families, garnet_worse
+from oee_tabular.lab.bench.families import (
+    HELD,
+    REAL,
+    Families,
+    families,
+    garnet_worse,
+)
 from oee_tabular.lab.bench.families_chains import tandem
 from oee_tabular.lab.bench.family import Family, check_seed
 from oee_tabular.lab.bench.league import (
@@ -307,8 +313,11 @@ def measure_cell(
     family = find_family(source, name, seed)
     own = Stream(stream.experiment, seed, {"family": name, "size": size})
     problem = family.problem(family.size(size), own.generator(use="log"))
-    kind = "held" if name in HELD or source is not None else "tuned"
-    facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
+    facts = {
+        "seed": seed,
+        "families": kind_of(name, source),
+        **facts_of(family, problem),
+    }
     seeds = {key: int(own.sequence(use=key).generate_state(1)[0]) for key in estimators}
     return [
         {
@@ -318,6 +327,16 @@ def measure_cell(
         }
         for key, given in estimators.items()
     ]
+
+
+def kind_of(name: str, source: object) -> str:
+    """Return how the league marks a family: tuned, held or real.
+
+    Families of a user's own count as held.
+    """
+    if source is not None or name in HELD:
+        return "held"
+    return "real" if name in REAL else "tuned"
 
 
 def facts_of(family: Family, problem: Problem) -> Row:

@@ -37,7 +37,7 @@ from oee_tabular.lab.bench.family import (
     scale_rows,
 )
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
-from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
+from oee_tabular.tasks import bus_engines, gridworld, gridworld_policy, toy_text
 
 SIMULATOR_SLIP = 0.15  # slip of the floors
 # The policy acts as the expert in half of the steps; uniform actions record the target.
@@ -48,6 +48,7 @@ PAPER: PairOptions = {
 }
 ROW, COLUMN = np.indices((8, 8)).reshape(2, 64, 1)
 IS_MIDDLE = (ROW >= 3) & (ROW < 6) & (COLUMN >= 3) & (COLUMN < 6)
+MONTHS_PER_BUS = 117  # of group 4: each of its 37 buses was recorded as long
 MISSING_ICU = (
     "icu_sepsis is left out: it needs the package icu-sepsis (in a clone: pip install"
     " '.[bench]')."
@@ -89,6 +90,23 @@ def one_way_grid() -> Family:
     )
     narrow = pair(family.about, simulator, target, optimal=0.97).policy
     return Family(simulator, target, family.policy, narrow, family.about)
+
+
+def real_buses() -> Family:
+    """Make the family of Rust's bus engines, whose target is measured.
+
+    The wear of group 3 simulates that of group 4. The log's engines are replaced as
+    often as the recorded ones, by bin.
+    """
+    buses = bus_engines()
+    return Family(
+        buses.simulator,
+        buses.target,
+        buses.policy,
+        buses.data_policy,
+        "Other buses of the same company wear less than the simulated ones.",
+        length=MONTHS_PER_BUS,
+    )
 
 
 def icu_file() -> Path | None:
@@ -366,6 +384,7 @@ MADE: Mapping[str, Maker] = {
     **chains.TRADES,
     "one_way_grid": one_way_grid,
     **SHIFTS,
+    "rust_buses": real_buses,
 }
 LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **LARGE_GARNETS}
 HELD = (  # whose results nobody saw while the default was chosen
@@ -379,6 +398,7 @@ HELD = (  # whose results nobody saw while the default was chosen
     "traffic_hours",
     "web_pages",
 )
+REAL = ("rust_buses",)  # whose simulator and target are both measured
 
 
 class Families(Mapping[str, Family]):

@@ -357,7 +357,8 @@ EXPLAINED = (
     " time of one log. `else` in a name: what stands for unrecorded pairs, the"
     " simulator's transitions, a state that stays as it is, or Q = 0. A mean is empty"
     " where the estimator is exactly right in a cell. Tuned families are those on which a"
-    " constant of the default was chosen."
+    " constant of the default was chosen; in real ones the simulator and the target are"
+    " both measured."
 )
 
 
@@ -375,7 +376,8 @@ class League:
     cells : DataFrame
         A row for each family, size and estimator, over the seeds.
     league : DataFrame
-        A row for each estimator and kind of families ("tuned", "held"), over the cells.
+        A row for each estimator and kind of families ("tuned", "held", "real"),
+        over the cells.
     labels : mapping of str to str
         By the names of some estimators what texts, tables and pictures call them.
 
