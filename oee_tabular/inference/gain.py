@@ -99,7 +99,9 @@ class Gain:
 
     @cached_property
     def lower(self) -> float:
-        """Return the lower end."""
+        """Return the lower end; in large problems the rough one, for time."""
+        if not self.is_none and self._search.is_large:
+            return self.rough
         return self._find(is_rough=False)
 
     def _find(self, *, is_rough: bool) -> float:
