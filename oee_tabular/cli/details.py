@@ -74,10 +74,10 @@ DETAILS: dict[str, dict[str, str]] = {
         "terminated=": "The files have no such column; nothing else is read as it.",
     },
     "TRIALS": {
-        "9/12": "9 of 12 trials succeeded; --success says in which states.",
+        "9/12": "9 of 12 trials succeeded; `--success` says in which states.",
         "FILE.csv": (
             "A trial in each row: success (1 or 0) or return, and policy (a name of"
-            " --policy) and weight where there are such columns."
+            " `--policy`) and weight where there are such columns."
         ),
         "eval_info.json": "LeRobot's outcomes of episodes.",
     },

@@ -19,7 +19,7 @@ save: Var V(s_0) / Var Y, exactly. A control variate that knows the first state 
 trial and the true values saves this share of the trials, and none saves more.
 
 How T is corrected for few trials was chosen on the kinds that ``SPLIT`` calls tuned,
-with seed 7100. The table of ``notebooks/trials.md`` is of those kept aside.
+with seed 7100. The table of ``notebooks/trials.md`` is of both.
 """
 
 import argparse

@@ -318,3 +318,16 @@ def test_the_least_of_l_is_the_value_where_the_log_is_normal():
 
     best = optimize.minimize_scalar(height, bounds=(0.01, 0.99), method="bounded").x
     assert both.value == pytest.approx(best, abs=1e-4)
+
+
+def test_what_trials_are_worth_on_a_family():
+    """A small twin of the table of notebooks/trials.md."""
+    benchmark = pytest.importorskip("benchmarks.trials")
+    rows = benchmark.run(
+        "held", logs=3, seed=1, names=("thermostat",), say=lambda *_, **__: None
+    )
+    assert len(rows) == 12
+    table = benchmark.summarise(rows)
+    assert (table["worth"] > table["trials"]).all()
+    assert (table["width"] < 1.6).all()
+    assert sum(row["covers"] for row in rows) >= 9

@@ -126,7 +126,7 @@ def test_json_is_strict_and_complete(problem):
     loaded = json.loads(report.to_json(), parse_constant=lambda word: pytest.fail(word))
     keys = (
         "version answer unit discount horizon normalized confidence interval seed facts"
-        " results intervals best comparison"
+        " results intervals best comparison trials"
     )
     assert " ".join(loaded) == f"{keys} conclusion warnings"
     assert (loaded["results"][0]["value"], loaded["results"][0]["status"]) == (

@@ -120,6 +120,10 @@ range_ = oee.value_range(small, [0, 1], 0.5, 2.0)
 deployed: bool = oee.improve(problem, [0, 1], candidates={"mine": [1, 1]}).deploy
 guarded: float = oee.robust_policy(small, 0.5, 2.0).gap
 plan = oee.plan_data_collection(problem, {"mine": [0, 1]}, n=100)
+tried = oee.Trials([1.0, 2.0], policy="mine", discount=0.9)
+won = oee.Trials.from_successes(9, 12, success=["goal"], horizon=20)
+joined = oee.Problem(small, log, horizon=20, trials=tried)
+value_by_both: float = oee.inference.join_trials(joined, [0, 1], name="mine").value
 
 # ratios
 fit = oee.density_ratio([1, 2], [2, 2], lower=0.1, upper=10.0, ridge=0.1)

@@ -70,6 +70,9 @@ oee.occupancy(mdp, policy, of="states")  # wrong
 oee.weighted_return_moments(mdp, None, policy, kind="per_step")  # wrong
 oee.tasks.gridworld(4, 0.1, pay="later")  # wrong
 oee.Problem(mdp, log, rewards="robot")  # wrong
+oee.Problem(mdp, log, trials=[1.0])  # wrong
+oee.Trials.from_successes("9", 12)  # wrong
+oee.Trials.load("a.csv", measure="speed")  # wrong
 oee.evaluate(problem, policy, estimators=["oe"])  # wrong
 
 # options of objects
