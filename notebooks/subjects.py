@@ -34,6 +34,7 @@ SUBJECTS = {
         ),
         "Where the log contradicts the simulator": ("row_changes", "RowChanges"),
     },
+    "decision": {"Which policy to deploy": ("improve", "Improvement", "Candidate")},
     "design": {"What to record next": ("plan_data_collection", "Plan", "Outlook")},
     "estimators": {
         "The problem, and what an estimator returns": (

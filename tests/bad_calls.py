@@ -887,6 +887,22 @@ mdps(discounts=[1.5])  ->  discounts must be in [0, 1]; it is 1.5
 mdps(discounts=[])  ->  discounts must hold at least one; it is empty
 mdps(rewards=["ss"])  ->  rewards must be one of 's', 'sa', 'sas'; got 'ss'
 mdp_pairs(support="violated", min_states=1)  ->  min_states must be at least 2 for support 'violated'; it is 1
+# decisions
+oee.improve(3, UNIFORM)  ->  problem must be a Problem
+oee.improve(P, np.full((9, 5), 0.2))  ->  running must have shape
+oee.improve(P, np.full(9, 4))  ->  running[0] must be in 0..3; it is 4
+oee.improve(P, UNIFORM, candidates={"corrected": UP})  ->  candidates must have names of their own; 'corrected' is that of
+oee.improve(P, UNIFORM, candidates={"running": UP})  ->  candidates must have names of their own; 'running' is that of
+oee.improve(P, UNIFORM, candidates={1.5: UP, "1.5": UP})  ->  candidates must have names that differ as texts; '1.5' stands
+oee.improve(P, UNIFORM, candidates={"mine": [[1.0]]})  ->  candidates 'mine' must have shape
+oee.improve(P, UNIFORM, confidence=1.0)  ->  confidence must be in (0, 1); it is 1
+oee.improve(P, UNIFORM, lower_ratio=2.0)  ->  lower_ratio must be in [0, 1]; it is 2
+oee.improve(P, UNIFORM, upper_ratio=0.5)  ->  upper_ratio must be in [1, inf]; it is 0.5
+oee.improve(P, UNIFORM, unrecorded=0.5)  ->  unrecorded must be in [1, inf]; it is 0.5
+oee.improve(P, UNIFORM, split=1.5)  ->  split must be in (0, 1); it is 1.5
+oee.improve(P, UNIFORM, split="half")  ->  split must be
+oee.improve(P, UNIFORM, split=True, seed=-1)  ->  seed must
+oee.improve(P, UNIFORM, canditates={"mine": UP})  ->  improve() got an unexpected ...'canditates'. Did you mean 'candidates'?
 # misspelt keywords, and options that a method does not have
 evaluate(P, UNIFORM, lower_raito=3)  ->  evaluate() got an unexpected ...'lower_raito'. Did you mean 'lower_ratio'?
 evaluate(P, UNIFORM, sed=3)  ->  evaluate() got an unexpected keyword argument 'sed'. Did you mean 'seed'?

@@ -38,6 +38,7 @@ RESULTS = {
     ),
     "failed estimate": (lambda: Estimate(float("nan"), status="<lost>"), SUM),
     "interval": (lambda: oee.interval(PROBLEM, BOLD), SUM),
+    "improvement": (lambda: oee.improve(PROBLEM, BOLD), SUM),
     "robust policy": (lambda: oee.robust_policy(SIMULATOR, 0.5, 2.0), SUM),
     "plan for a gain": (
         lambda: oee.plan_data_collection(PROBLEM, POLICIES, n=100, minus=BOLD),

@@ -12,7 +12,7 @@ NAMES = {
         ContinuousTransitions Estimate FiniteMDP Interval Moments Plan Problem RatioFit Report
         RobustPolicy TransitionCounts TransitionRatio Transitions action_values bench check_assumptions data density_ratio
         doubly_robust_moments efficiency_bound estimators evaluate exact
-        inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
+        Improvement decision improve inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
         policy_value ratio record_episodes report return_moments robust_policy sample_episodes sample_returns sample_transitions
         shrinkage simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
         value_range weighted_return_moments

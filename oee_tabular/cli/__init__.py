@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from oee_tabular import _progress
 from oee_tabular._memory import require_room
-from oee_tabular.cli import files, values
+from oee_tabular.cli import files, improving, values
 from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
 from oee_tabular.exceptions import ArgumentError
@@ -135,6 +135,7 @@ app = typer.Typer(
 for command in (
     values.evaluate,
     values.compare,
+    improving.improve,
     values.plan,
     files.sample,
     files.policy,

@@ -166,7 +166,7 @@ EXIT_CODES = {
     ),
     3: (
         "The log does not speak for the policy: with `oee compare --expect-best`, the"
-        " first one is not found to be the best."
+        " first one is not found to be the best; `oee improve` has nothing to deploy."
     ),
     130: "Ctrl-C ended it. The next run of `reproduce` and `bench` goes on from there.",
 }
@@ -180,6 +180,10 @@ JSON_KEYS = {
     "compare": (
         "version, confidence, best (null if the log cannot say), sentence, policies"
         " (best first), differences (from the best), warnings"
+    ),
+    "improve": (
+        "version, decision (deploy, keep or record), deploy, sentence, policy, gain,"
+        " gain_lower, confidence, unrecorded, split, seed, candidates, plan, file"
     ),
     "plan": (
         "version, sampling, n, quantity (value or gain), confidence, status, gap,"

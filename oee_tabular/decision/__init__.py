@@ -9,7 +9,7 @@ certifies also policies that were made from its own counts.
 
 from __future__ import annotations
 
-from oee_tabular.decision.improve import improve
+from oee_tabular.decision.deciding import improve
 from oee_tabular.decision.improvement import Candidate, Improvement
 from oee_tabular.decision.views import render_page as render_page
 

@@ -21,7 +21,7 @@ from oee_tabular.exact import optimal_policy, with_rows
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, BoolArray
 
 CORRECTED = "corrected"
 RECORDED = (1, 3, 10)  # transitions that a pair must have in the variants
@@ -103,7 +103,7 @@ def find_optimum(model: FiniteMDP, horizon: int | None) -> Array:
 
 
 def find_optimum_where(
-    model: FiniteMDP, horizon: int | None, running: Array, may_change: Array
+    model: FiniteMDP, horizon: int | None, running: Array, may_change: BoolArray
 ) -> Array:
     """Return the best policy that keeps the running one's probabilities elsewhere.
 
@@ -140,4 +140,4 @@ def find_optimum_where(
         model.discount,
     )
     chosen = find_optimum(mixed, horizon)
-    return np.einsum("sa,sab->sb", chosen, choices)
+    return np.asarray(np.einsum("sa,sab->sb", chosen, choices))

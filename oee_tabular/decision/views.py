@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _printing
+from oee_tabular import _checks, _printing
 from oee_tabular.report import plain
 
 if TYPE_CHECKING:
@@ -153,8 +153,6 @@ def render_page(found: Improvement, title: str | None = None) -> str:
     """Write the page of a decision."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    from oee_tabular.report.page import legible
-
     header, *rows = list_rows(found)
     environment = Environment(
         loader=ChoiceLoader(
@@ -176,4 +174,4 @@ def render_page(found: Improvement, title: str | None = None) -> str:
         notes=write_notes(found),
         plan=None if found.plan is None else str(found.plan),
     )
-    return legible(page) + "\n"
+    return _checks.escape_controls(page, keep="\n\t") + "\n"

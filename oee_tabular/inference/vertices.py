@@ -91,10 +91,10 @@ def change_rows(
     total = 0.0
     if not len(rows.without_data):
         return p, total
-    value_moves = _value_by_steps if rows.n_steps else _value_moves
+    value_all = value_by_steps if rows.n_steps else value_moves
     for _ in range(MAX_CHANGES):
         moves = find_moves(rows, sign * slope)
-        gains = sign * value_moves(rows, p, moves, evaluate)
+        gains = sign * value_all(rows, p, moves, evaluate)
         share, move = np.unravel_index(int(np.argmax(gains)), gains.shape)
         gain = float(gains[share, move])
         if not gain > LEAST_GAIN * (distance + total):
@@ -107,7 +107,7 @@ def change_rows(
     return p, total
 
 
-def _value_moves(
+def value_moves(
     rows: PolicyRows, p: Array, moves: Moves, _: Callable[[Array], float]
 ) -> Array:
     """Return by how much each share of each move changes the gain, exactly."""
@@ -134,7 +134,7 @@ def _value_moves(
     return gains
 
 
-def _value_by_steps(
+def value_by_steps(
     rows: PolicyRows, p: Array, moves: Moves, evaluate: Callable[[Array], float]
 ) -> Array:
     """Return the same with a horizon, where each change is evaluated by itself.

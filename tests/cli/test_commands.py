@@ -223,6 +223,7 @@ DATA = "--simulator sim.npz --log log.csv"
 SHORT = {
     "evaluate": f"{DATA} --estimators simulator",
     "compare": f"{DATA} --policy uniform --policy optimal --quick",
+    "improve": f"{DATA} --running uniform",
     "plan": f"{DATA} --transitions 50 --horizon 20",
     "sample": "gridworld:3,slip=0.1 --episodes 2 --output l.npz",
     "policy": "sim.npz uniform --output p.npy",

@@ -31,6 +31,13 @@ LINES = {
         f"{DATA} --policy uniform",
         f"{DATA} --policy uniform --policy none.npy",
     ),
+    "improve": (
+        f"{DATA} --running uniform --report i.html",
+        f"{DATA} --running none.npy",
+        f"{DATA} --running uniform --unrecorded much",
+        f"{DATA} --running uniform --candidate running=optimal",
+        f"{DATA} --running uniform --report i.txt",
+    ),
     "plan": (
         f"{DATA} --transitions 9 --output n.npy",
         f"{DATA} --transitions 9 --output n.npy",
@@ -147,6 +154,15 @@ def test_success_is_0_and_a_refused_command_changes_nothing(code, name):
     for line in wrong:
         assert code(f"{name} {line}") == 2
         assert contents() == before, line
+
+
+def test_improve_is_3_where_nothing_is_to_be_deployed(code):
+    assert code(f"improve {DATA} --running uniform") == 0
+    # what runs is the best already: keep
+    assert code(f"improve {DATA} --running optimal --json") == 3
+    # a log of a few transitions: record
+    oee.Transitions.load("log.csv").first(12).save("log.csv")
+    assert code(f"improve {DATA} --running uniform") == 3
 
 
 def test_a_law_that_does_not_hold_is_1(code):

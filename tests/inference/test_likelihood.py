@@ -325,6 +325,19 @@ def test_no_end_of_a_gain_is_short_of_slsqp(seed):
     assert best_of_slsqp(evidence, 1.0, 4, rng, running) <= high + room
 
 
+@pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
+@pytest.mark.parametrize("seed", [*range(4), 31, 37])
+def test_no_end_is_short_of_slsqp_where_pairs_are_not_recorded(seed):
+    rng = np.random.default_rng(100 + seed)
+    problem, policy = problem_of(rng, n=int(rng.choice([8, 20, 60])))
+    running = random_policy(rng, problem.simulator)
+    evidence = gather(problem, policy)
+    low, high = (end.value for end in likelihood_ends(evidence, 0.95, minus=running))
+    room = 1e-3 * (high - low)
+    assert best_of_slsqp(evidence, -1.0, 4, rng, running) >= low - room
+    assert best_of_slsqp(evidence, 1.0, 4, rng, running) <= high + room
+
+
 def test_a_gain_of_a_large_problem_is_that_of_a_small_one(monkeypatch):
     """Solved by sweeps and by LAPACK alike."""
     problem, policy = problem_of(np.random.default_rng(9), n=60)

@@ -117,6 +117,7 @@ sure = oee.interval(problem, [0, 1], method="likelihood", confidence=0.9)
 inside: bool = 0.5 in sure
 width: float = sure.width
 range_ = oee.value_range(small, [0, 1], 0.5, 2.0)
+deployed: bool = oee.improve(problem, policy, candidates={"mine": policy}).deploy
 guarded: float = oee.robust_policy(small, 0.5, 2.0).gap
 plan = oee.plan_data_collection(problem, {"mine": [0, 1]}, n=100)
 

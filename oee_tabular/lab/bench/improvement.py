@@ -27,7 +27,6 @@ from oee_tabular import _checks
 from oee_tabular._progress import progress_bar
 from oee_tabular.decision import Improvement, improve
 from oee_tabular.decision.candidates import CORRECTED, LOG, find_optimum
-from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.bench import families_unrecorded
 from oee_tabular.lab.bench.families import families
@@ -37,7 +36,7 @@ from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.typing import Array
 
 SIZES = (3.0, 10.0, 30.0)
-MAX_STATES = 110
+MAX_STATES = 64
 FIRST_SEED = 5800  # no constant was chosen on logs of these seeds
 ROUNDING = 1e-9  # of the best policy's value less the uniform one's
 
@@ -97,9 +96,7 @@ def measure_log(family: Family, size: float, seed: int) -> Row:
     of_counts = _find_of_counts(parted)
     row |= {
         f"split_{key}": number
-        for key, number in judge(
-            parted, value(parted.policy) - now, unit
-        ).items()
+        for key, number in judge(parted, value(parted.policy) - now, unit).items()
     }
     end, policy = of_counts
     row["counts_held"] = end <= value(policy) - now + ROUNDING * unit
@@ -132,9 +129,14 @@ def judge(found: Improvement, truth: float, unit: float) -> Row:
     }
 
 
-def measure_all(seeds: int, first: int, sizes: tuple[float, ...]) -> pd.DataFrame:
-    """Measure the logs of all families, sizes and seeds, a row each."""
-    rows = []
+def measure_all(
+    seeds: int, first: int, sizes: tuple[float, ...], file: Path | None = None
+) -> pd.DataFrame:
+    """Measure the logs of all families, sizes and seeds, a row each.
+
+    A ``file`` has the rows that are finished, so that an interrupted run is not lost.
+    """
+    rows: list[Row] = []
     for seed in progress_bar("improvement", range(first, first + seeds)):
         for sort, name, family in find_families(seed):
             if family.simulator.n_states > MAX_STATES:
@@ -143,6 +145,14 @@ def measure_all(seeds: int, first: int, sizes: tuple[float, ...]) -> pd.DataFram
             for size in sizes:
                 about = {"sort": sort, "family": name, "size": size, "seed": seed}
                 rows.append(about | measure_log(ours, size, seed))
+                if file is not None:
+                    pd.DataFrame(rows[-1:]).to_csv(
+                        file,
+                        mode="a" if len(rows) > 1 else "w",
+                        header=len(rows) == 1,
+                        index=False,
+                        float_format="%.6g",
+                    )
     return pd.DataFrame(rows)
 
 
@@ -181,10 +191,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     given = parser.parse_args(arguments)
     seeds = _checks.positive_integer(given.seeds, "--seeds")
-    table = measure_all(seeds, given.first_seed, SIZES)
-    league = league_of_decisions(table)
     given.output.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.output / "table.csv", index=False, float_format="%.6g")
+    table = measure_all(seeds, given.first_seed, SIZES, given.output / "table.csv")
+    league = league_of_decisions(table)
     league.to_csv(given.output / "league.csv", index=False, float_format="%.4g")
     print(league.to_string(index=False, float_format=lambda x: f"{x:.3f}"))
 

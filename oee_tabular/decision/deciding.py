@@ -21,7 +21,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.gain import Gain, require_consistent_box
 from oee_tabular.inference.intervals import check_factor
 from oee_tabular.mdp import check_policies, check_policy
-from oee_tabular.report.evaluation import is_best_in_log
+from oee_tabular.report import is_best_in_log
 from oee_tabular.typing import Array, PoliciesLike, PolicyLike, Seed
 
 # of the largest value in the comparison: a smaller gain is rounding
@@ -134,7 +134,7 @@ def improve(
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     factor = check_factor(unrecorded, has_box=False)
     share = check_split(split)
-    numbers = _checks.seed_sequence(seed, ())
+    _checks.generator(seed)  # or an error
     if model.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
     if problem.soft:
@@ -144,8 +144,12 @@ def improve(
             " has fractions (give it the log itself)",
         )
     chooser = certifier = problem
+    number: Any = None
     if share is not None:
-        parts = split_counts(problem, share, numbers)
+        # one number, by which the split is drawn again
+        is_number = _checks.is_integer(seed)
+        number = seed if is_number else _checks.generator(seed).integers(2**32)
+        parts = split_counts(problem, share, number)
         chooser, certifier = (
             Problem(model, counts, horizon=problem.horizon) for counts in parts
         )
@@ -176,7 +180,6 @@ def improve(
         plan = _plan(problem, best, runs, level)
         if plan is not None:
             decision = "record"
-    shown = numbers.entropy if isinstance(numbers.entropy, int) else None
     return Improvement(
         policy=best.policy,
         gain=best.gain,
@@ -189,7 +192,7 @@ def improve(
         confidence=level,
         unrecorded=factor,
         split=share,
-        seed=shown if share is not None else None,
+        seed=None if number is None else int(number),
     )
 
 

@@ -1,0 +1,177 @@
+"""The lower end of a gain: against enumeration, SLSQP, and an interval."""
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.inference.evidence import gather
+from oee_tabular.inference.gain import Gain
+from oee_tabular.inference.profile_ascent import Search, likelihood_ends
+from oee_tabular.inference.vertices import SHARES, find_moves, value_moves
+
+LIMIT = 1.9207294103470618  # half the chi-square quantile
+NO_BOX = (None, None)
+
+
+def gain_of(problem, policy, running, factor=np.inf, box=NO_BOX):
+    return Gain(problem, problem, policy, running, 0.95, box, factor)
+
+
+def problem_of(rng, horizon=None, n=None):
+    simulator = random_mdp(rng, n_states=int(rng.integers(3, 9)), n_actions=2)
+    policy = random_policy(rng, simulator)
+    n = int(rng.integers(5, 200)) if n is None else n
+    even = np.full(policy.shape, 1 / policy.size)
+    log = oee.sample_transitions(simulator, even, n, seed=int(rng.integers(99)))
+    return oee.Problem(simulator, log, horizon=horizon), policy
+
+
+def divergence(evidence, rows):
+    n = evidence.rows.spread(evidence.n) * evidence.phat
+    return float(n[n > 0] @ np.log(evidence.phat[n > 0] / rows[n > 0]))
+
+
+def two_states(rng, n):
+    """Any of two states may follow; the last pair is never recorded."""
+    P = rng.uniform(0.1, 0.9, (2, 2))
+    simulator = oee.FiniteMDP(
+        np.stack([P, 1.0 - P], axis=2), rng.normal(size=(2, 2)), [0.6, 0.4], 0.9
+    )
+    shares = [[0.4, 0.3], [0.3, 0.0]]
+    log = oee.sample_transitions(simulator, shares, n, seed=int(rng.integers(99)))
+    return oee.Problem(simulator, log)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_model_of_two_states_gains_less(seed):
+    """Each row of two states is one number: all of a grid are tried."""
+    rng = np.random.default_rng(seed)
+    problem = two_states(rng, [6, 12, 40, 120][seed])
+    policy, running = (random_policy(rng, problem.simulator) for _ in range(2))
+    evidence = gather(problem, policy)
+    end = likelihood_ends(evidence, 0.95, minus=running)[0]
+    assert divergence(evidence, end.rows) <= LIMIT + 1e-9
+    number = 31
+    p = np.meshgrid(*[np.linspace(0.0, 1.0, number)] * 4, indexing="ij")
+    phat = evidence.phat.reshape(4, 2)[:, 0]
+    spent = np.zeros(p[0].shape)
+    for x, n, first in zip(p, evidence.n, phat, strict=True):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for share, now in ((first, x), (1.0 - first, 1.0 - x)):
+                if n > 0 and share > 0:
+                    spent += n * share * np.log(share / now)
+    inside = spent <= LIMIT
+    total = 0.0
+    for sign, pi in ((1.0, policy), (-1.0, running)):
+        a = pi[0, 0] * p[0][inside] + pi[0, 1] * p[1][inside]
+        b = pi[1, 0] * p[2][inside] + pi[1, 1] * p[3][inside]
+        r = (pi * problem.simulator.rewards).sum(axis=1)
+        # (I - gamma K) V = r for K = [[a, 1 - a], [b, 1 - b]]
+        k = 0.9
+        determinant = (1 - k * a) * (1 - k * (1 - b)) - k * (1 - a) * k * b
+        V0 = ((1 - k * (1 - b)) * r[0] + k * (1 - a) * r[1]) / determinant
+        V1 = (k * b * r[0] + (1 - k * a) * r[1]) / determinant
+        total = total + sign * (0.6 * V0 + 0.4 * V1)
+    assert end.value <= total.min() + 1e-9
+
+
+@settings(max_examples=15)
+@given(rngs)
+def test_changes_of_single_rows_are_valued_exactly(rng):
+    problem, policy = problem_of(rng, n=10)
+    running = random_policy(rng, problem.simulator)
+    search = Search.begin(gather(problem, policy), 0.95, running)
+    rows = search.rows
+    if not len(rows.without_data):
+        return
+    p = search.base.p
+    moves = find_moves(rows, search.base.slope)
+    gains = value_moves(rows, p, moves, lambda p: 0.0)
+    move = int(rng.integers(len(moves.indptr) - 1))
+    entries = moves.entries[moves.indptr[move] : moves.indptr[move + 1]]
+    other = moves.p[moves.indptr[move] : moves.indptr[move + 1]]
+
+    def value(p):
+        whole = search.evidence.phat.copy()
+        whole[rows.entries] = p
+        model = search.evidence.with_rows(whole)
+        return oee.policy_value(model, policy) - oee.policy_value(model, running)
+
+    for share, found in zip(SHARES, gains[:, move], strict=True):
+        changed = p.copy()
+        changed[entries] += share * (other - p[entries])
+        assert_allclose(
+            rows.unit * found, value(changed) - value(p), rtol=1e-7, atol=1e-8
+        )
+
+
+@settings(max_examples=15)
+@given(rngs, st.sampled_from([None, 5]))
+def test_a_policy_gains_nothing_over_itself(rng, horizon):
+    problem, policy = problem_of(rng, horizon)
+    gain = gain_of(problem, policy, policy)
+    assert gain.point == gain.rough == gain.lower == 0.0
+
+
+def test_over_a_running_policy_of_known_value_it_is_the_interval():
+    """The running policy leaves at once for an end that is certain."""
+    P = np.zeros((4, 2, 4))
+    P[0, 0] = [0.0, 0.5, 0.3, 0.2]
+    P[0, 1, 3] = P[3, :, 3] = 1.0
+    P[1] = P[2] = [0.3, 0.3, 0.3, 0.1]
+    rewards = [[0.0, 1.0], [1.0, 1.0], [-1.0, 2.0], [0.0, 0.0]]
+    simulator = oee.FiniteMDP(P, rewards, 0, 0.9)
+    shares = np.array([[0.3, 0.1], [0.2, 0.2], [0.2, 0.0], [0.0, 0.0]])
+    log = oee.sample_transitions(simulator, shares, 60, seed=1)
+    problem = oee.Problem(simulator, log)
+    leaves = np.array([1, 0, 0, 0])
+    mine = np.array([[1.0, 0.0], [0.5, 0.5], [0.4, 0.6], [1.0, 0.0]])
+    runs = np.eye(2)[leaves]
+    known = oee.policy_value(simulator, runs)
+    assert known == 1.0
+    gain = gain_of(problem, mine, runs)
+    quoted = oee.interval(problem, mine, unrecorded=np.inf)
+    assert_allclose(gain.lower, quoted.lower - known, rtol=1e-6)
+
+
+def test_a_smaller_set_of_models_has_a_larger_lower_end():
+    rng = np.random.default_rng(3)
+    problem, policy = problem_of(rng, n=15)
+    running = random_policy(rng, problem.simulator)
+    ends = [
+        gain_of(problem, policy, running, factor).lower for factor in (1.0, 3.0, np.inf)
+    ]
+    assert ends[0] >= ends[1] - 1e-6 >= ends[2] - 2e-6
+    boxed = gain_of(problem, policy, running, box=(0.2, 5.0)).lower
+    assert boxed >= ends[2] - 1e-6
+
+
+def test_a_rough_end_is_no_lower_than_a_thorough_one():
+    for seed in range(5):
+        problem, policy = problem_of(np.random.default_rng(seed), n=12)
+        running = random_policy(np.random.default_rng(seed), problem.simulator)
+        gain = gain_of(problem, policy, running)
+        assert gain.lower <= gain.rough + 1e-6 * max(1.0, abs(gain.rough))
+
+
+def test_what_was_dropped_lowers_the_end():
+    """A transition that the simulator rules out may lead anywhere."""
+    P = np.zeros((3, 2, 3))
+    P[0, 0, :2] = P[1, :, :2] = 0.5
+    P[0, 1, 1] = P[2, :, 2] = 1.0
+    simulator = oee.FiniteMDP(P, [[0.0, 0.5], [1.0, 0.8], [0.0, 0.0]], 0, 0.9)
+    columns = [0] * 20 + [1] * 20
+    log = oee.Transitions(columns, [0, 1] * 20, [0, 1] * 10 + [1, 0] * 10)
+    strays = oee.Transitions(
+        [*columns, 0], [*[0, 1] * 20, 0], [*[0, 1] * 10, *[1, 0] * 10, 2]
+    )
+    mine, runs = np.eye(2)[[1, 0, 0]], np.full((3, 2), 0.5)
+    ends = [
+        gain_of(oee.Problem(simulator, each, impossible=how), mine, runs).lower
+        for each, how in ((log, "refuse"), (strays, "drop"))
+    ]
+    assert ends[1] < ends[0]
