@@ -316,12 +316,12 @@ def test_the_study_runs(capsys, monkeypatch):
 
 
 def test_the_study_of_decisions_runs(capsys, monkeypatch):
-    monkeypatch.setattr(study, "SIZES", (30, 1000))
+    monkeypatch.setattr(study, "DECISION_SIZES", (100, 1000))
     monkeypatch.setattr(sys, "argv", ["buses.py", "2", "improve"])
     study.main()
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[:3] for line in lines] == [
-        ["30", "deploys", "in"],
+        ["100", "deploys", "in"],
         ["1000", "deploys", "in"],
     ]
     assert "0 are worse" in lines[1]
