@@ -250,6 +250,8 @@ class Trials:
                 discount = None if table["is_success"] else 1.0
         else:
             raise ArgumentError("path", f"must end in .csv or .json; it is {name!r}")
+        if discount is not None:
+            discount = _checks.number_in(discount, "discount", 0.0, 1.0)
         if table["is_success"] and discount not in (None, 1.0):
             raise ArgumentError(
                 "discount",

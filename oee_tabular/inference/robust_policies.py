@@ -255,7 +255,15 @@ def _back_up(evidence: Evidence, values: Array, p: Array) -> Backup:
     shape = model.rewards.shape
     n_roundings = int(np.diff(rows.indptr).max()) + 4
     rounding = n_roundings * np.finfo(float).eps * float(np.abs(ahead).max())
-    return Backup(-bound.reshape(shape), rows.sums(p * ahead).reshape(shape) + rounding)
+    least = -bound.reshape(shape)
+    attained = rows.sums(p * ahead).reshape(shape) + rounding
+    if not model.available.all():
+        # an action that cannot be taken is worse than any other, by a finite number,
+        # for policies multiply it by 0
+        below = -1.0 - 3.0 * float(np.abs(attained).max() + np.abs(values).max())
+        least = np.where(model.available, least, below)
+        attained = np.where(model.available, attained, below)
+    return Backup(least, attained)
 
 
 def _settle(evidence: Evidence, p: Array, left_out: BoolArray) -> tuple[Array, Backup]:

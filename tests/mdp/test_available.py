@@ -199,6 +199,25 @@ def test_ranges_and_bounds_do_not_change(model, data):
         assert_allclose(ours, theirs, **CLOSE)
 
 
+@settings(max_examples=10)
+@given(models(discounts=(0.5, 0.9), min_states=2), st.data())
+def test_robust_policies_and_decisions_take_what_can_be_taken(model, data):
+    mdp, lift = model
+    masked = lift.mdp(mdp)
+    horizon = data.draw(st.sampled_from([None, 3]))
+    ours = oee.robust_policy(masked, 0.5, 2.0, horizon=horizon)
+    theirs = oee.robust_policy(mdp, 0.5, 2.0, horizon=horizon)
+    assert not ours.policy[..., ~lift.available].any()
+    scale = 1.0 + abs(theirs.value)
+    assert_allclose(ours.value, theirs.value, atol=1e-8 * scale)
+    assert ours.gap <= 1e-7 * scale
+    running = oee.uniform_policy(masked)
+    log = oee.sample_episodes(masked, running, 5, 6, seed=0)
+    found = oee.improve(oee.Problem(masked, log, horizon=horizon), running)
+    assert not found.policy[~lift.available].any()
+    assert all(not c.policy[~lift.available].any() for c in found.candidates)
+
+
 @settings(max_examples=8)
 @given(models(discounts=(0.5, 0.9), min_states=2), st.data())
 def test_an_interval_gives_nothing_to_rows_that_cannot_be_used(model, data):
