@@ -108,7 +108,7 @@ def improve(
     best of them is changed row by row.
 
     A policy that was made from the counts themselves (an optimum of their frequencies)
-    looks better than it is, and the bound fails in up to half of the logs. Such a
+    looks better than it is, and its bound fails much more often than it says. Such a
     candidate has no lower end here (nan); use ``split``. The package's own need no
     split: they follow the counts along few directions.
 
