@@ -237,6 +237,8 @@ class Trials:
         name = _files.local(path)
         if measure is not None:
             _checks.one_of(measure, "measure", ("success", "return"))
+        if discount is not None:
+            discount = _checks.number_in(discount, "discount", 0.0, 1.0)
         suffix = Path(name).suffix.lower()
         if suffix == ".csv":
             if task is not None:
