@@ -10,7 +10,7 @@ TABLE = r"""
 mdp(edited(GOOD, (1, 1), [0.3, 0.67]))  ->  transitions[1, 1] must sum to 1
 mdp(rows(edited(GOOD, (1, 1), [0.3, 0.6])))  ->  transitions[1, 1] must sum to 1
 mdp(rows(edited(GOOD, (1, 0), 0.0)))  ->  transitions[1, 0] must sum to 1 ...; it sums to 0 (...: available=)
-mdp(edited(GOOD, (1, 0), 0.0), available=CAN)  ->  transitions[1, 0] must sum to 1
+mdp(edited(LACKING, (1, 1), 0.0), available=CAN)  ->  transitions[1, 1] must sum to 1
 mdp(edited(GOOD, (0, 1), [-0.5, 1.5]))  ->  transitions[0, 1, 0] must be nonnegative
 mdp(rows(edited(GOOD, (0, 1), [-0.5, 1.5])))  ->  transitions must be nonnegative; at s=0, a=1 -> s'=0
 mdp(edited(GOOD, (0, 1, 0), np.nan))  ->  transitions[0, 1, 0] must be finite

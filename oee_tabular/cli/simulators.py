@@ -125,7 +125,9 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
         raise ArgumentError(
             name,
             "must have every action of a state that has one; state"
-            f" {shown[0]}, action {shown[1]} is not there ({lacking.size} such pairs)",
+            f" {shown[0]}, action {shown[1]} is not there ({lacking.size} such pairs;"
+            " of actions that cannot be taken, save one made by FiniteMDP(...,"
+            " available=))",
         )
     return {
         "transitions": csr_from_entries(

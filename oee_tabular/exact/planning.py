@@ -97,7 +97,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.optional_horizon(horizon)
-    model = rows_of(mdp.csr), mdp.rewards, mdp.discount
+    # the reward -inf is never the largest: no such action is chosen
+    model = rows_of(mdp.csr), drop_unavailable(mdp, mdp.rewards), mdp.discount
     if steps is not None:
         length = limit_horizon(
             steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size
@@ -173,22 +174,17 @@ def action_value(model, values, state, action):
 
 @njit(cache=True)
 def improve(model, values, new, actions):
-    """Compute new = max_a Q, and the best actions that can be taken, the first of equals.
+    """Compute new = max_a Q, and the best actions, the first of equals.
 
     Returns the spread of new - values over the states, and the largest value.
     """
     low = np.inf
     high = -np.inf
     largest = 0.0
-    n_actions = model[1].shape[1]
     for state in range(len(values)):
         best = -np.inf
         chosen = 0
-        for action in range(n_actions):
-            row = np.uint64(state * n_actions + action)
-            # the row of an action that cannot be taken is empty
-            if model[0].indptr[row] == model[0].indptr[row + np.uint64(1)]:
-                continue
+        for action in range(model[1].shape[1]):
             value = action_value(model, values, state, action)
             if value > best:
                 best = value

@@ -280,6 +280,11 @@ class Portrait:
         return int(((self.changes.counts.sum(axis=1) == 0) & ~self.over).sum())
 
     @property
+    def alive_pairs(self) -> int:
+        """Return the number of state-action pairs of these states."""
+        return int(self.available[~self.over].sum())
+
+    @property
     def missing_pairs(self) -> int:
         """Return how many of the pairs of these states were never recorded."""
         never = (self.changes.counts == 0) & self.available

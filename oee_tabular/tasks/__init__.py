@@ -1,4 +1,4 @@
-"""Tasks as finite MDPs: the paper's gridworld, Gymnasium's toy text, continuous tasks.
+"""Tasks as finite MDPs: gridworld, recycling robot, Gymnasium's toy text, continuous.
 
 The continuous tasks are in ``oee_tabular.continuous``.
 """

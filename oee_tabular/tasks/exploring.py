@@ -213,9 +213,9 @@ class Explorer:
         masked: bool = True,
     ) -> None:
         self.env = env
-        self.masked = masked
+        self._keeper = self._keep if masked else None
         self.masks: dict[int, BoolArray] = {}
-        self._info: Any = None  # what came with the last observation
+        self._info: Any = None  # what came with the last observation, if it has a mask
         self.size = size
         self.is_numbered = True
         self.n_actions = n_actions
@@ -246,10 +246,9 @@ class Explorer:
                     break
                 is_first = is_over
                 if is_over:
-                    seen = reset_environment(self.env, seed, keep=self._keep)
+                    seen = reset_environment(self.env, seed, keep=self._keeper)
                     state = self._number(seen, "env.reset")
-                    if self.masked:
-                        self._read_mask(state, "env.reset")
+                    self._read_mask(state, "env.reset")
                     seed = None
                     self.starts.append(state)
                     self._set_open(state, True)
@@ -282,10 +281,10 @@ class Explorer:
     def _step(self, state: int, action: int) -> tuple[int, bool]:
         """Take an action; return the next state and whether the episode is over."""
         observation, reward, terminated, truncated = step_environment(
-            self.env, action, self._seen, keep=self._keep
+            self.env, action, self._seen, keep=self._keeper
         )
         following = self._number(observation, action)
-        if self.masked and not terminated:
+        if not terminated and (self._info or self.masks):
             self._read_mask(following, action)
         self.transitions.append((state, action, following, reward, terminated))
         self._outcomes[state, action][RESET if terminated else following] += 1
@@ -302,22 +301,24 @@ class Explorer:
         return following, terminated or truncated
 
     def _keep(self, info: Any) -> None:
-        """Keep what came with an observation."""
-        self._info = info
+        """Keep the mask that came with an observation, and nothing else of its info."""
+        is_mapping = type(info) is dict or isinstance(info, Mapping)
+        has_mask = is_mapping and MASK in info
+        self._info = info if has_mask else None
 
     def _read_mask(self, state: int, call: int | str) -> None:
         """Keep the mask of actions that the environment gave with a state.
 
         It is the same whenever the state is met.
         """
-        info = self._info if isinstance(self._info, Mapping) else {}
+        info = self._info or {}
         known = self.masks.get(state)
-        if known is None and MASK not in info:
+        if known is None and not info:
             return
         name, _ = self._place(call)
         place = f'{name}: info["{MASK}"]'
         seen = _checks.show(self._seen)
-        if MASK not in info:
+        if not info:
             raise ArgumentError(
                 place,
                 f"must be given whenever state {seen} is met, as it was before; it is"

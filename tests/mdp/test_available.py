@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import Page
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -464,6 +465,20 @@ def test_logs_and_counts_that_use_it(drop):
     ):
         with pytest.raises(ArgumentError, match=r"distribution\[0, 0\] must be 0"):
             call()
+
+
+def test_what_cannot_be_taken_does_not_count_as_never_recorded():
+    mdp = two_states()
+    log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 20, 10, seed=0)
+    assert "5 of 5 pairs recorded" in repr(oee.transition_ratio(log, mdp))
+    problem = oee.Problem(mdp, log)
+    report = oee.evaluate(problem, oee.uniform_policy(mdp), seed=0)
+    assert "It has every state-action pair of them" in Page(report.to_html()).text
+    kept = log.action != 0
+    some = oee.Transitions(log.state[kept], log.action[kept], log.next_state[kept])
+    part = oee.Problem(mdp, some)
+    report = oee.evaluate(part, oee.uniform_policy(mdp), seed=0)
+    assert "It lacks 1 of their 5 state-action pairs" in Page(report.to_html()).text
 
 
 def test_target_and_simulator_have_the_same_actions():

@@ -388,7 +388,7 @@ TABLES = [
     ),
     (lacking(state=0), r"P must have the states 0..0; it lacks 0; its keys are \[1\]"),
     (
-        Toy(1, 2, [(1.0, 0, 0.0, False)]),
+        Toy(1, 2, [(1.0, 0, 0.0, False)], action_space=spaces.Discrete(2)),
         r"P\[1\] must have actions in 0..1; it has 3: \[",
     ),
     (Toy(P="table"), r"P must be a dict or list with an entry for each state"),
