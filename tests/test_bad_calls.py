@@ -414,7 +414,7 @@ OTHERWISE = {
         "evaluate_continuous",
     ],
     "target": ["Reacher", "reacher_policy", "evaluate_continuous"],
-    "path": ["Report.to_html"],
+    "path": ["Report.to_html", "Improvement.to_html"],
     "discount": ["TransitionCounts.counts"],
     "timestep": ["Transitions.from_frame"],
     "n": ["plot_errors", "Case.logs"],
