@@ -27,6 +27,9 @@ from oee_tabular.typing import Array, PoliciesLike, PolicyLike, Seed
 # of the largest value in the comparison: a smaller gain is rounding
 GAIN_TOLERANCE = 1e-10
 MAX_TRANSITIONS = 10**9  # that a plan is for
+# Of the log's transitions: a gain that takes more to be told from 0 is too small to be
+# worth recording for.
+MAX_LOGS = 10
 
 
 @suggest_keywords
@@ -99,7 +102,9 @@ def improve(
     "... 10+", the best policies that keep the running one's probabilities in pairs
     recorded fewer than 1, 3, 10 times; and "simulator", the simulator's optimal policy.
     With a horizon they are the first step's. The one with the largest lower end is
-    taken, or, if none is above 0, the one with the largest gain.
+    taken, or, if none is above 0, the one with the largest gain. Its decision is
+    "record" if a plan of at most ten times the log's transitions can tell its gain from
+    0, and "keep" otherwise.
 
     The lower end is that of the profile likelihood: the least gain of all models with
     ``sum n KL(frequencies, model) <= chi2 / 2``, chi2 the quantile of ``confidence``.
@@ -178,7 +183,7 @@ def improve(
         decision = "deploy"
     elif best.gain > GAIN_TOLERANCE * largest > 0.0:
         plan = _plan(problem, best, runs, level)
-        if plan is not None:
+        if plan is not None and plan.n <= MAX_LOGS * max(problem.counts.sum(), 1):
             decision = "record"
     return Improvement(
         policy=best.policy,

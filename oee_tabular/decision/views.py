@@ -26,6 +26,11 @@ def write_number(number: float, *others: float) -> str:
     return format(number, _printing.spec(min(known), max(known)))
 
 
+def write_count(number: int) -> str:
+    """Write a count with spaces between thousands: 44 177."""
+    return f"{number:,}".replace(",", " ")
+
+
 def write_sentence(found: Improvement) -> str:
     """Write what to do, and the numbers that it rests on."""
     level = f"{100 * found.confidence:.4g}%"
@@ -40,17 +45,23 @@ def write_sentence(found: Improvement) -> str:
     if found.decision == "keep":
         if found.gain == 0.0:
             return "Keep the running policy: no candidate gains anything over it."
+        remedy = "more transitions cannot show that it is better"
+        if found.plan is not None:
+            remedy = (
+                f"it would take about {write_count(found.plan.n)} transitions, more than"
+                " ten times the log, to show that it is better"
+            )
         return (
             "Keep the running policy: the best candidate,"
             f" “{found.name}”, gains about {gain} (lower end of the {level} interval:"
-            f" {lower}), and more transitions cannot show that it is better."
+            f" {lower}), and {remedy}."
         )
     advice = ""
     if found.plan is not None:
-        number = f"{found.plan.n:,}".replace(",", " ")
         plural = "s" if found.plan.n > 1 else ""
         advice = (
-            f" It takes about {number} planned transition{plural} or more."
+            f" It takes about {write_count(found.plan.n)} planned transition{plural} or"
+            " more."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
