@@ -695,15 +695,18 @@ def test_theorems_need_the_target_s_rewards_in_any_unit(unit):
 
 @pytest.mark.parametrize("unit", [1e-100, 1e-9, 1.0, 1e130])
 def test_a_policy_that_the_log_chose_is_told_in_any_unit(unit):
-    simulator = oee.FiniteMDP(
-        [[[0.9, 0.1], [0.1, 0.9]]] * 2, np.array([0.0, 1.0]) * unit, [1, 0], 0.9
-    )
-    # in the log's model action 0 leads to the reward
-    log = Transitions([0, 1] * 4, [0, 1] * 4, [1, 0] * 4)
-    problem = oee.Problem(simulator, log)
-    report = oee.evaluate(
-        problem, {"log's": [0, 0], "simulator's": [1, 1]}, quick=True, seed=0
-    )
+    family = oee.bench.families()["garnet_dirichlet10"]
+    simulator = family.simulator.with_rewards(family.simulator.rewards * unit)
+    runs = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.5)
+    share = oee.occupancy(family.target, runs)
+    log = oee.sample_transitions(family.target, share, 10 * share.size, seed=1)
+    problem = oee.Problem(simulator, replace(log, reward=None))
+    fitted = oee.transition_ratio(problem.log, simulator, values_of=runs)
+    policies = {
+        "log's": oee.optimal_policy(fitted.maximum_likelihood_model(simulator)),
+        "simulator's": oee.optimal_policy(simulator),
+    }
+    report = oee.evaluate(problem, policies, quick=True, seed=0)
     chosen = {
         (result.policy, finding.kind)
         for result in report.results

@@ -20,9 +20,9 @@ A task is a finite MDP in three lines. What a cell is and what it costs is said 
 ``discretization``; notebook 08 shows it.
 
 >>> from oee_tabular.tasks import CartPole, discretize
->>> model = discretize(CartPole(10.0), cells=(16, 16))
+>>> model = discretize(CartPole(10.0), cells=(40, 40))
 >>> model.mdp.n_states, f"{model.diagnostics['closure_error']:+.2f}"
-(258, '-0.07')
+(1601, '-0.01')
 """
 
 from __future__ import annotations

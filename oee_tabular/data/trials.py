@@ -126,6 +126,7 @@ class Trials:
             object.__setattr__(self, name, value)
 
     @classmethod
+    @suggest_keywords
     def from_successes(
         cls,
         successes: int,
@@ -191,6 +192,7 @@ class Trials:
         return made._as_successes(success)
 
     @classmethod
+    @suggest_keywords
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -546,7 +548,7 @@ def success_simulator(simulator: FiniteMDP, success: StatesLike) -> FiniteMDP:
 def _check_successes(successes: Any, number: int) -> int:
     """Return a number of successes that is an integer of at least 0."""
     try:
-        if isinstance(successes, bool | np.bool_):
+        if isinstance(successes, bool | np.bool_) or np.ma.isMaskedArray(successes):
             raise TypeError
         won = operator.index(successes)
     except (TypeError, ValueError):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from oee_tabular.continuous.log import holds_states
+from oee_tabular.continuous.log.transitions import holds_states
 from oee_tabular.data import ContinuousTransitions, Transitions
 from oee_tabular.exceptions import ArgumentError, DataWarning
 

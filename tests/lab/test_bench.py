@@ -266,7 +266,7 @@ BAD = {
     ),
     "no module": (
         {"estimators": "no_such_module:x"},
-        "families must name something that can be imported; module"
+        "must name something that can be imported; module"
         " 'no_such_module' cannot be found, neither in .* nor installed",
     ),
     "no object": (

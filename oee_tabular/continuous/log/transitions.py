@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
-from oee_tabular.continuous.lists import find_lists, read_lists
+from oee_tabular.continuous.log.lists import find_lists, read_lists
 from oee_tabular.data.aliases import NUMBERED, stem
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format

@@ -810,6 +810,7 @@ class League:
             ``with_labels`` refuses the labels.
         """
         conform(folder, "folder", str | PathLike)
+        _files.local(folder, "folder")
         conform(about, "about", dict[str, str] | None)
         contents = league_files(self, about, command, labels)
         refuse_links(Path(folder))
