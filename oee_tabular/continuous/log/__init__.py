@@ -1,5 +1,6 @@
-"""Logs of continuous states: the columns, and their numbering for a task.
+"""Logs of continuous states: the columns, their files, and their numbering for a task.
 
-``transitions`` has the log itself. ``numbered`` makes its actions the numbers of a
-task's, in one place for every caller.
+``transitions`` has the log itself, and ``lists`` reads vectors in list columns of
+parquet. ``numbering`` makes a log's actions the numbers of a task's, in one place for
+every caller.
 """
