@@ -458,7 +458,7 @@ def is_integer(value: object) -> bool:
 
 def is_zero(value: object) -> bool:
     """Return whether a value is the integer 0, or False, which turn a step off."""
-    return isinstance(value, int | np.integer | np.bool_) and value == 0
+    return (is_integer(value) or isinstance(value, bool | np.bool_)) and value == 0
 
 
 def boolean(value: object, name: str) -> bool:
@@ -650,7 +650,7 @@ def _check_seed(seed: Any) -> Any:
         raise ArgumentError("seed", f"must be an integer; got {show(seed)}")
     if isinstance(seed, (*own, ISeedSequence)):
         return seed
-    if not isinstance(seed, int | np.integer | list | tuple | range):
+    if not is_integer(seed) and not isinstance(seed, list | tuple | range):
         seed = _plain(seed, "seed")
     if isinstance(seed, np.ndarray):
         if seed.dtype.hasobject:
@@ -674,7 +674,7 @@ def _count_words(seed: Any, depth: int) -> float:
     """Count the 32-bit numbers of an integer, or of a sequence of such; inf beyond."""
     if isinstance(seed, bool | np.bool_):
         raise ArgumentError("seed", f"must hold integers; it holds {show(seed)}")
-    if isinstance(seed, int | np.integer):
+    if is_integer(seed):
         return 1.0 + int(seed).bit_length() // 32
     if not isinstance(seed, list | tuple | range) or depth > MAX_SEED_DEPTH:
         raise TypeError(f"{type(seed).__name__} is no integer")

@@ -633,6 +633,7 @@ Trials([[1.0]])  ->  returns must have 1 dimension(s)
 Trials([1.0], discount=2)  ->  discount must be in [0, 1]; it is 2
 Trials([1.0], horizon=0)  ->  horizon must be a positive integer
 Trials([1.0, 2.0], policy=["a"])  ->  policy must be one name, or 2, one for each trial; there are 1
+Trials([1.0], policy=[None])  ->  policy[0] must be finite; it is nan
 Trials([1.0], policy=[""])  ->  policy[0] must be a name
 Trials([1.0], policy="")  ->  policy must be a name that is not empty
 Trials([1.0], weight=[0.0])  ->  weight[0] must be positive and finite; it is 0
@@ -820,6 +821,9 @@ monte_carlo_value(CartPole(), lambda s: np.full((len(s), 2), 0.25), 5, 5)  ->  p
 Reacher(0.0)  ->  length must be positive; it is 0.0
 Reacher(target=(1, 2, 3))  ->  target must be two finite numbers (x, y); it is (1, 2, 3)
 Reacher(target=(0.1, float("nan")))  ->  target must be two finite numbers
+oee.tasks.reacher_policy(0.5, length=np.zeros(()))  ->  length must be positive; it is array(0.)
+oee.tasks.kinova_policy(np.timedelta64(3, "s"))  ->  goal must be in 0..4, a row of GOALS; it is np.timedelta64(3,'s')
+oee.bench.run(families=["machine"], sizes=[1e308], seeds=1)  ->  sizes must be at most ...e+14; ..., for the family machine
 oee.tasks.reacher_policy(0.5, target=(1.0, 0.0))  ->  target must be 0.01 to 0.21 m ...; it is 1 m away
 KinovaArm(goal=5)  ->  goal must be in 0..4, a row of GOALS; it is 5
 hand_log(hand(5))  ->  log.state must have 3 coordinates (position), 7 ...; it has 5

@@ -15,9 +15,13 @@ import argparse
 import collections
 import contextlib
 import hashlib
+import importlib.util
 import io
+import json
+import re
 import struct
 import sys
+import tarfile
 import tempfile
 import time
 import traceback
@@ -170,7 +174,34 @@ def originals(folder):
     found[".npz", "policy"] = _written(
         lambda handle, array: np.savez(handle, policy=array), policy
     )
+    found[".csv", "trials"] = b"policy,success,weight\na,1,1\na,0,2\nb,true,.5\n"
+    task = {"successes": [True, False, True], "sum_rewards": [1.0, 0.0, 2.5]}
+    info = {"per_task": [{"task_group": "g", "task_id": 0, "metrics": task}]}
+    found[".json", "trials"] = json.dumps(info).encode()
+    found[".parquet", "frames"] = _frames()
+    if importlib.util.find_spec("umbi"):
+        plain.save(folder / "simulator.umb")
+        found[".umb", "simulator"] = (folder / "simulator.umb").read_bytes()
     return found
+
+
+def _frames():
+    """Frames of two episodes, as LeRobot writes them."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    state = np.random.default_rng(0).normal(size=(12, 2))
+    table = pa.table(
+        {
+            "observation.state": pa.array(state.tolist(), pa.list_(pa.float32(), 2)),
+            "action": pa.array([[float(k % 3)] for k in range(12)]),
+            "frame_index": pa.array([*range(6), *range(6)]),
+            "episode_index": pa.array([0] * 6 + [1] * 6),
+            "next.reward": pa.array([0.5] * 12),
+            "next.done": pa.array([False] * 5 + [True] + [False] * 6),
+        }
+    )
+    return _written(lambda handle: parquet.write_table(table, handle))
 
 
 def _written(write, *arguments):
@@ -446,12 +477,50 @@ def edited_parquet(data, rng):
     return _written(lambda handle: parquet.write_table(made, handle, compression=codec))
 
 
+def edited_json(data, rng):
+    """A JSON text with some of its words replaced."""
+    text = data.decode()
+    words = ["null", "true", "1", "[]", "{}", '"x"', "NaN", "-1e999", "[[1]]", "1.5"]
+    words.append("9" * 400)
+    for _ in range(rng.integers(1, 4)):
+        old = pick(rng, re.findall(r'"[^"]*"|[\w.]+|\[[^][]*\]', text) or [" "])
+        text = text.replace(old, pick(rng, words), 1)
+    return text.encode()
+
+
+def edited_umb(data, rng):
+    """An archive of a model with one of its members changed, lost or named anew."""
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        members = {
+            each.name: archive.extractfile(each).read()
+            for each in archive.getmembers()
+            if each.isfile()
+        }
+    name = pick(rng, list(members))
+    content = members.pop(name)
+    if rng.random() < 0.8:
+        edit = pick(rng, [flipped, cut, spliced, noise, lambda data, _: data * 2])
+        content = edited_json(content, rng) if name.endswith("json") else content
+        members[name] = content if name.endswith("json") else edit(content, rng)
+    elif rng.random() < 0.5:
+        members[f"{name}x"] = content
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as archive:
+        for name, content in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+    return buffer.getvalue()
+
+
 ANY = (flipped, flipped, flipped, cut, spliced, noise)
 EDITS = {
     ".npz": (*ANY, *[edited_npz] * 8, *[resealed] * 4, edited_zip, edited_zip, bomb),
     ".npy": (*ANY, *[edited_npy] * 6),
     ".csv": (*ANY, *[edited_csv] * 6, *[mixed] * 4),
     ".parquet": (*ANY, *[edited_parquet] * 6),
+    ".json": (*ANY, *[edited_json] * 6),
+    ".umb": (*ANY, *[edited_umb] * 12),
 }
 
 
@@ -552,6 +621,10 @@ def _readers():
             }
         )
 
+    def trials(name):
+        loaded = oee.Trials.load(name)
+        return _content({"returns": loaded.returns, "weight": loaded.weight})
+
     def info(name):
         describe_files([name])
         return ""
@@ -563,7 +636,8 @@ def _readers():
         "policy": (policy,),
     }
     readers |= {"simulator": (simulator,), "simulator2": (simulator,)}
-    return {kind: (*reads, info) for kind, reads in readers.items()}
+    made = {kind: (*reads, info) for kind, reads in readers.items()}
+    return made | {"frames": (states, info), "trials": (trials,)}
 
 
 # ---- the parent
@@ -627,7 +701,7 @@ def is_ours(ending, kind, edit, data):
     """Whether a file still says that it is one of ours, or is one whose bytes were
     damaged; its content is then held to.
     """
-    return kind != "policy" and (
+    return kind not in ("policy", "trials", "frames") and (
         (ending == ".npz" and edit not in (bomb, resealed))
         or (ending == ".parquet" and (edit in ANY or b"oee_tabular_digest" in data))
     )

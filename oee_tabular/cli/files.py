@@ -396,7 +396,7 @@ def info(
         list[str],
         typer.Argument(
             metavar="FILE...",
-            help="A FiniteMDP, a log (or its files), a policy or a report.",
+            help="A FiniteMDP, a log (or its files), a policy, trials or a report.",
             rich_help_panel=INPUT,
         ),
     ],
@@ -428,28 +428,36 @@ def describe_files(
     -------
     kind : str
         "finite_mdp", "transitions", "transition_counts", "continuous_transitions",
-        "policy", "report" or "arrays".
+        "policy", "report", "trials" or "arrays".
     text : str
         What it holds, in one or more lines.
     """
     from oee_tabular.continuous import holds_states
+    from oee_tabular.data import holds_trials
     from oee_tabular.data.files import find_log_files
 
     file = files[0]
     path = Path(_files.local(files[0]))
     if (path / "report.json").is_file():
         path = path / "report.json"
+    if len(files) == 1 and not columns and holds_trials(file):
+        return "trials", _describe_trials(oee.Trials.load(file))
+    if path.suffix.lower() == ".umb":
+        mdp = oee.FiniteMDP.load(file)
+        return "finite_mdp", _describe_mdp(mdp, file, {})
     if path.suffix.lower() == ".json":
         from oee_tabular.report import summary
 
         return "report", summary(path)
     is_pattern = not path.exists() and bool(set("*?[") & set(file))
-    has_parts = path.is_dir() and len(files) == 1
-    if has_parts:
-        has_parts = Path(find_log_files(file)[0].path) != path
+    first, has_parts = file, False
+    if path.is_dir() and len(files) == 1:
+        first = find_log_files(file)[0].path
+        has_parts = Path(first) != path
     is_single = len(files) == 1 and not is_pattern and not has_parts
-    if is_single and holds_states(file, columns):
-        states = oee.ContinuousTransitions.load(file, columns=columns)
+    if not is_pattern and holds_states(first, columns):
+        given = file if len(files) == 1 else files
+        states = oee.ContinuousTransitions.load(given, columns=columns)
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
     if is_single and path.suffix.lower() == ".csv" and not columns:
@@ -488,6 +496,7 @@ def _describe_labels(
     The labels are those of the first file.
     """
     from oee_tabular._checks import show
+    from oee_tabular.continuous import find_lists
     from oee_tabular.data.files import find_log_files
     from oee_tabular.data.tables import read_labels
 
@@ -497,15 +506,29 @@ def _describe_labels(
     if first.suffix not in (".csv", ".parquet"):
         return number
     labels = [*read_labels(first.path), *(label for label, _ in first.fixed)]
-    found = log.FILES.with_columns(columns).match(
-        list(dict.fromkeys(labels)), first.path
-    )
+    with_lists = None
+    if first.suffix == ".parquet":
+        with_lists = find_lists(first.path, columns or {})
+    if with_lists is not None:
+        found = with_lists[0]
+    else:
+        found = log.FILES.with_columns(columns).match(
+            list(dict.fromkeys(labels)), first.path
+        )
     words = [
         f"{column} is {', '.join(map(show, group))}"
         for column, group in found.taken.items()
         if group != (column,)
     ]
     return number + (f"\ncolumns: {'; '.join(words)}" if words else "")
+
+
+def _describe_trials(trials: Any) -> str:
+    """Describe trials, all of them and those of each policy."""
+    lines = [repr(trials)]
+    if len(trials.names) > 1:
+        lines += [f"{name}: {trials.of(name)!r}" for name in trials.names]
+    return "\n".join(lines)
 
 
 def _describe_states(log: Any) -> str:

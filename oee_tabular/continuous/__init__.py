@@ -78,6 +78,7 @@ if TYPE_CHECKING:  # imported on first use
         ContinuousSimulator as ContinuousSimulator,
     )
     from oee_tabular.continuous.evaluation.simulator import Settings as Settings
+    from oee_tabular.continuous.log.lists import find_lists as find_lists
     from oee_tabular.continuous.log.transitions import (
         ContinuousTransitions as ContinuousTransitions,
     )
@@ -147,6 +148,7 @@ _MODULES = {
         "ContinuousSimulator",
         "Settings",
     ),
+    "log.lists": ("find_lists",),
     "log.transitions": (
         "ContinuousTransitions",
         "holds_states",

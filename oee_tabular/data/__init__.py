@@ -59,6 +59,7 @@ from oee_tabular.data.opening import open_log
 from oee_tabular.data.opening import read_log as read_log
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.data.trials import Trials, success_simulator
+from oee_tabular.data.trials import holds_trials as holds_trials
 from oee_tabular.data.trials import require_fit as require_fit
 from oee_tabular.data.trials import success_states as success_states
 

@@ -8,7 +8,7 @@ import gzip
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Self, TypeAlias, cast
 from urllib.parse import unquote
@@ -72,6 +72,8 @@ NO_LOG_NAMES = (
 )
 MINARI_FILES = ("metadata.json", "main_data.hdf5")
 MAX_SHOWN_FILES = 5
+# other files than those of logs, above which a folder is not one of a log
+MAX_OTHER_FILES = 100_000
 WAY = (
     " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
     " bad_rows='drop'), oee counts --bad-rows drop)"
@@ -444,9 +446,8 @@ def warn_of_empty_files(paths: Sequence[str], n_files: int) -> None:
 def _may_be_log(path: Path) -> bool:
     """Return whether a file that is not read may hold a part of a log."""
     name = path.name.lower()
-    is_hidden = any(step.startswith((".", "_")) for step in path.parts)
     return not (
-        is_hidden
+        _is_hidden(path)
         or _is_data_file(path)
         or name.startswith(NO_LOG_NAMES)
         or name.endswith(tuple(NO_LOGS.split()))
@@ -471,7 +472,8 @@ def _files_at(name: str) -> list[LogFile]:
     matching = [path for path in paths if not path.is_dir()]
     if matching and "**" not in name:
         for folder in set(paths) - set(matching):
-            if any(_is_data_file(way.relative_to(folder)) for way in folder.rglob("*")):
+            inner = _walk(folder, str(folder))
+            if any(_is_data_file(way.relative_to(folder)) for way in inner):
                 raise ArgumentError(
                     "path",
                     f"must match files or folders, not both; {name!r} matches the file"
@@ -491,7 +493,7 @@ def _files_in(place: Path, named: Path, name: str) -> list[LogFile]:
 
     Raises an ArgumentError, which calls the folder ``name``, where it has none.
     """
-    files = [file for file in sorted(place.rglob("*"), key=_order) if not file.is_dir()]
+    files = sorted(_walk(place, name), key=_order)
     if not files:
         raise ArgumentError(
             "path",
@@ -515,6 +517,41 @@ def _files_in(place: Path, named: Path, name: str) -> list[LogFile]:
     return [LogFile(str(place))]
 
 
+def _walk(place: Path, name: str) -> Iterator[Path]:
+    """Yield the files in a folder and below it, in no order; links are not followed.
+
+    Raises an ArgumentError for a folder that cannot be read, whose part of the log
+    would be lost without a word, and for one of very many other files.
+    """
+
+    def refuse(error: OSError) -> None:
+        """Name the folder that cannot be read, unless none of it would be."""
+        folder = Path(os.fsdecode(error.filename or place))
+        if not _is_hidden(folder.relative_to(place)):
+            raise ArgumentError(
+                "path",
+                f"must name a folder that can be read; {str(folder)!r} cannot"
+                f" ({error.strerror})",
+            )
+
+    n_others = 0
+    for folder, _, names in os.walk(place, onerror=refuse):
+        for each in names:
+            n_others += not each.lower().endswith(ENDINGS)
+            if n_others > MAX_OTHER_FILES:
+                raise ArgumentError(
+                    "path",
+                    f"must be the folder of a log; {name!r} has more than"
+                    f" {MAX_OTHER_FILES} other files (name the folder inside it)",
+                )
+            yield Path(folder, each)
+
+
+def _is_hidden(path: Path) -> bool:
+    """Return whether a name of a path is one that writers of folders leave out."""
+    return any(step.startswith((".", "_")) for step in path.parts)
+
+
 def _order(path: Path) -> list[list[tuple[int, str]]]:
     """Return a key that sorts paths by their names, and numbers in them by size."""
     return [
@@ -528,8 +565,7 @@ def _order(path: Path) -> list[list[tuple[int, str]]]:
 
 def _is_data_file(path: Path) -> bool:
     """Return whether a file has the ending of a log and is not hidden."""
-    is_hidden = any(step.startswith((".", "_")) for step in path.parts)
-    return not is_hidden and path.name.lower().endswith(ENDINGS)
+    return not _is_hidden(path) and path.name.lower().endswith(ENDINGS)
 
 
 def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:

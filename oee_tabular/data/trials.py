@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import operator
 import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.data.tables import csv_frame
+from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import FiniteMDP, Name, check_policy, number_of, total_discount
 from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike, RealArrayLike
@@ -36,6 +37,7 @@ StatesLike: TypeAlias = Name | int | Sequence[Name | int] | IntArray
 RETURN_TOLERANCE = 1e-6
 COLUMNS = ("policy", "success", "return", "weight")
 FLAGS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0, "1": 1.0, "0": 0.0}
+LARGEST = sys.float_info.max
 MAX_TRIALS = 10**8  # that counts of successes may stand for
 
 
@@ -369,6 +371,27 @@ class Trials:
         return made._as_successes(self.success) if self.is_success else made
 
 
+def holds_trials(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a table of trials or an ``eval_info.json``.
+
+    A table with the columns of a log is none. Only the header of a table is read.
+    """
+    name = _files.local(path)
+    suffix = Path(name).suffix.lower()
+    try:
+        if suffix == ".csv":
+            labels = {str(label).strip().lower() for label in read_labels(name)}
+            return bool(labels & {"success", "return"}) and "action" not in labels
+        if suffix != ".json":
+            return False
+        content = json.loads(_files.read_text(name))
+    except (ValueError, OSError, RecursionError):
+        return False  # whoever reads it says what is wrong
+    return isinstance(content, dict) and bool(
+        {"per_task", "per_episode"} & set(content)
+    )
+
+
 def require_fit(trials: Trials, simulator: FiniteMDP, horizon: int | None) -> None:
     """Refuse trials of another quantity than a problem's value.
 
@@ -610,7 +633,9 @@ def _check_tried(policy: Any, number: int) -> str | tuple[str, ...] | Array | No
                     f"policy[{k}]", f"must be a name; got {_checks.show(name)}"
                 )
         return tuple(str(name) for name in names)
-    return _checks.freeze(_checks.float_array(policy, "policy", ndim=(1, 2)))
+    array = _checks.float_array(policy, "policy", ndim=(1, 2))
+    _checks.require_finite(array, "policy")
+    return _checks.freeze(array)
 
 
 def _check_weight(weight: Any, number: int) -> Array | None:
@@ -733,7 +758,7 @@ def _read_lerobot(name: str, measure: str | None, task: str | None) -> dict[str,
     file = f"{name!r}"
     try:
         content = json.loads(_files.read_text(name))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ArgumentError(
             file, f"must be JSON; {_checks.first_line(error)}"
         ) from None
@@ -770,7 +795,7 @@ def _read_lerobot(name: str, measure: str | None, task: str | None) -> dict[str,
         raise ArgumentError(file, f"{form}; it has no {outcome} of any episode")
     numbers = []
     for k, value in enumerate(values):
-        is_number = isinstance(value, bool | int | float) and np.isfinite(value)
+        is_number = isinstance(value, bool | int | float) and abs(value) <= LARGEST
         if not is_number or (outcome == "success" and value not in (0, 1)):
             kind = "true or false" if outcome == "success" else "a finite number"
             raise ArgumentError(

@@ -52,7 +52,7 @@ def propose(
     for name, policy in own.items():
         known.add(policy.tobytes())
         yield name, policy
-    for name, policy in _propose_optima(problem, running, has_log=has_log):
+    for name, policy in propose_optima(problem, running, has_log=has_log):
         if policy.tobytes() not in known:
             known.add(policy.tobytes())
             yield name, policy
@@ -69,8 +69,8 @@ def require_other_names(own: Mapping[str, Array]) -> None:
             )
 
 
-def _propose_optima(
-    problem: Problem, running: Array, *, has_log: bool
+def propose_optima(
+    problem: Problem, running: Array, *, has_log: bool = False
 ) -> Iterator[tuple[str, Array]]:
     """Make the optimal policies of the models, and their variants."""
     horizon = problem.horizon

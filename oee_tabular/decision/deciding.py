@@ -14,6 +14,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import one_thread
 from oee_tabular.decision.candidates import propose, require_other_names
 from oee_tabular.decision.improvement import Candidate, Improvement, Verdict
+from oee_tabular.decision.optimism import measure_optimism
 from oee_tabular.decision.splitting import check_split, split_counts
 from oee_tabular.design import Plan, plan_data_collection
 from oee_tabular.estimators import Problem
@@ -115,7 +116,9 @@ def improve(
     A policy that was made from the counts themselves (an optimum of their frequencies)
     looks better than it is, and its bound fails much more often than it says. Such a
     candidate has no lower end here (nan); use ``split``. The package's own need no
-    split: they follow the counts along few directions.
+    split: they follow the counts along few directions, and their lower end is lowered
+    by what halves of the log show of their optimism: by how much a policy gains more in
+    the half that made it than in the other one, by the root of 2.
 
     Examples
     --------
@@ -174,7 +177,10 @@ def improve(
         for name in own
         if any(_is_from_counts(log, own[name], runs) for log in logs)
     }
-    found = _bound(gains, from_counts)
+    optimism: dict[str, float] = {}
+    if share is None and len(gains) > len(own):
+        optimism = measure_optimism(problem, runs)
+    found = _bound(gains, from_counts, optimism)
     best = _choose(found)
     largest = max(abs(each.gain) for each in found if math.isfinite(each.gain))
     decision: Verdict = "keep"
@@ -222,16 +228,21 @@ def _is_from_counts(problem: Problem, policy: Array, running: Array) -> bool:
     return not np.array_equal(policy, running) and is_best_in_log(problem, policy)
 
 
-def _bound(gains: Mapping[str, Gain], from_counts: set[str]) -> list[Candidate]:
+def _bound(
+    gains: Mapping[str, Gain], from_counts: set[str], optimism: Mapping[str, float]
+) -> list[Candidate]:
     """Bound all gains, those thoroughly that might be the best.
 
     A thorough search can only lower a rough end. So it is made for the one whose end is
-    largest, until this one is thorough.
+    largest, until this one is thorough. Ends are lowered by the ``optimism`` of those
+    that the log made.
     """
     lower: dict[str, float] = {}
     for k, (name, gain) in enumerate(gains.items()):
         _progress.report_step(f"the gain of “{name}” (policy {k + 1} of {len(gains)})")
-        lower[name] = math.nan if name in from_counts else gain.rough
+        lower[name] = math.nan
+        if name not in from_counts:
+            lower[name] = gain.rough - _optimism_of(gain, name, optimism)
     is_thorough = set(from_counts)
     while True:
         first = max(lower, key=lambda name: _order(lower[name]))
@@ -239,15 +250,22 @@ def _bound(gains: Mapping[str, Gain], from_counts: set[str]) -> list[Candidate]:
             break
         _progress.report_step(f"the worst case of “{first}”")
         is_thorough.add(first)
-        lower[first] = min(lower[first], gains[first].lower)
+        end = gains[first].lower - _optimism_of(gains[first], first, optimism)
+        lower[first] = min(lower[first], end)
     found = []
     for name, gain in gains.items():
         # no value stands outside of its interval
         point = gain.point
         if lower[name] > point:
             point = lower[name]
-        found.append(Candidate(name, gain.policy, point, lower[name]))
+        less = _optimism_of(gain, name, optimism)
+        found.append(Candidate(name, gain.policy, point, lower[name], less))
     return found
+
+
+def _optimism_of(gain: Gain, name: str, optimism: Mapping[str, float]) -> float:
+    """Return what the end of a candidate is lowered by; 0 over the policy itself."""
+    return 0.0 if gain.is_none else optimism.get(name, 0.0)
 
 
 def _order(value: float) -> float:

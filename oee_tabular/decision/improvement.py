@@ -34,6 +34,9 @@ class Candidate:
         The lower end of the gain; nan for a policy that was made from the log's own
         counts. Where it is not the best candidate's, the search for it was short, and
         a longer one may find a lower end.
+    optimism : float
+        What the lower end was lowered by, at least 0: how much better a policy that the
+        log made looks in that log, by its halves. 0 for your own candidates.
 
     See Also
     --------
@@ -52,6 +55,7 @@ class Candidate:
     policy: Array
     gain: float
     gain_lower: float
+    optimism: float = 0.0
 
 
 @checked(shapes={"policy": "S A", "running": "S A"}, levels=("confidence",))

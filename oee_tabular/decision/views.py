@@ -109,6 +109,11 @@ def write_notes(found: Improvement) -> list[str]:
             "-: no lower end for a policy that was made from the log's own counts;"
             " certify it by another log, or by a part of this one (split)"
         )
+    if any(each.optimism > 0.0 for each in found.candidates):
+        notes.append(
+            "lower ends of policies that this log made are lowered by how much better"
+            " those of its halves look in the half that made them"
+        )
     if found.split is not None:
         notes.append(
             f"{_printing.share(found.split)} of the log made the policies, the rest"
@@ -151,7 +156,12 @@ def to_dict(found: Improvement) -> dict[str, Any]:
         "split": found.split,
         "seed": found.seed,
         "candidates": [
-            {"policy": each.name, "gain": each.gain, "gain_lower": each.gain_lower}
+            {
+                "policy": each.name,
+                "gain": each.gain,
+                "gain_lower": each.gain_lower,
+                "optimism": each.optimism,
+            }
             for each in found.candidates
         ],
         "plan": None if found.plan is None else found.plan.to_dict(),

@@ -65,6 +65,7 @@ class Diagnostic(Generic[Number]):
             is_one = isinstance(value, str)
         else:
             is_one = isinstance(value, float | int | np.integer | np.floating)
+            is_one = is_one and not isinstance(value, np.timedelta64)
         if not is_one:
             what = "a text" if self.kind is str else "a number"
             raise ArgumentError(

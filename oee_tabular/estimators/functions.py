@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular.estimators.estimate import Estimate
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exceptions import AnswerError, ArgumentError
@@ -124,9 +125,7 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
 
 def is_number(value: object) -> bool:
     """Return whether a value is a Python or numpy real number, and no boolean."""
-    return isinstance(value, float | int | np.floating | np.integer) and not isinstance(
-        value, bool
-    )
+    return _checks.is_integer(value) or isinstance(value, float | np.floating)
 
 
 def _accepts(function: Any, *arguments: object, **options: object) -> bool:

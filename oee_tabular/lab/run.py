@@ -34,7 +34,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files, _writing
-from oee_tabular._checks import show
+from oee_tabular._checks import is_integer, show
 from oee_tabular._own_modules import find_own
 from oee_tabular._parallel import DEATHS, backend, parallel
 from oee_tabular._progress import progress_bar, report_finished
@@ -543,8 +543,7 @@ def run_experiment(
     folder first. ``overwrite``: replace files that no run wrote. Nothing is written
     before the workers are there and have this code.
     """
-    is_integer = isinstance(jobs, int | np.integer) and not isinstance(jobs, bool)
-    if not is_integer or jobs == 0 or jobs < -1:
+    if not is_integer(jobs) or jobs == 0 or jobs < -1:
         raise ArgumentError(
             "jobs",
             f"must be a positive number, or -1 for one a core; got {show(jobs)}",

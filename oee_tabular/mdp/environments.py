@@ -97,7 +97,7 @@ def read_integer(value: Any) -> int | None:
     >>> read_integer(3.0), read_integer(np.array([2])), read_integer(2.5)
     (3, 2, None)
     """
-    if isinstance(value, int | np.integer):
+    if _checks.is_integer(value):
         return int(value)
     number = read_number(value)
     if number is None or not math.isfinite(number) or number != math.floor(number):

@@ -82,6 +82,42 @@ def test_info(run, tmp_path):
     assert "must be a report that oee evaluate wrote" in run("info other.json", code=2)
 
 
+def test_info_on_trials(run, tmp_path):
+    (tmp_path / "t.csv").write_text("policy,success\na,1\nb,0\na,1\n")
+    said = run("info t.csv")
+    assert "2 of 3 succeeded" in said
+    assert "a: Trials(2 of 2 succeeded)" in said
+    (tmp_path / "eval_info.json").write_text(
+        '{"per_episode": [{"success": true, "sum_reward": 2.5}]}'
+    )
+    assert "1 of 1 succeeded" in run("info eval_info.json")
+    assert json.loads(run("info eval_info.json --json"))["kind"] == "trials"
+
+
+def test_info_on_frames_of_lists(run, tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    table = pa.table(
+        {
+            "observation.state": pa.array([[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]),
+            "action": pa.array([[0.5]] * 3),
+            "episode_index": pa.array([0, 0, 0]),
+            "frame_index": pa.array([0, 1, 2]),
+        }
+    )
+    (tmp_path / "data").mkdir()
+    pytest.importorskip("pyarrow.parquet").write_table(table, "data/frames.parquet")
+    for path in ("data", "data/frames.parquet"):
+        said = run("info", path)
+        assert "ContinuousTransitions(2 transitions of 2-dimensional states" in said
+        assert "state is 'observation.state'" in said
+
+
+def test_info_on_a_model_of_prism(run):
+    pytest.importorskip("umbi")
+    oee.tasks.gridworld(3, 0.3).with_discount(0.9).save("m.umb")
+    assert "FiniteMDP(9 states, 4 actions" in run("info m.umb")
+
+
 # ---------------------------------------------------------------- logs of several files
 
 

@@ -239,6 +239,11 @@ MODEL = discretize(CartPole(), cells=(16, 16), **QUICK)
 LOG = record(CartPole(), cartpole_policy(0.3), n_transitions=400, max_steps=50, seed=0)
 
 
+@pytest.mark.parametrize("seed", [None, 0])
+def test_no_states_have_no_numbers(seed):
+    assert MODEL.encode_states(np.empty((0, 4)), seed=seed).shape == (0,)
+
+
 def test_encoding_without_a_seed_takes_the_nearest_vertex():
     nearest = MODEL.encode_states(LOG.state)
     apart = np.abs(MODEL.points[nearest, 2:] - LOG.state[:, 2:]) / MODEL.cells.spacing

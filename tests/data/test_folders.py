@@ -1,6 +1,7 @@
 """Folders of a log: copies, overlaps, what is left out, and subfolders."""
 
 import gzip
+import os
 import shutil
 import warnings
 
@@ -382,3 +383,40 @@ def test_columns_of_parquet_without_a_name_are_refused(tmp_path):
     for read in READERS:
         with pytest.raises(ValueError, match="whose name is empty"):
             read(tmp_path, columns={"reward": ""})
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_folder_of_very_many_other_files_is_refused(tmp_path, read, monkeypatch):
+    """A home or a root folder is no log; its files are not all looked through."""
+    monkeypatch.setattr("oee_tabular.data.files.MAX_OTHER_FILES", 5)
+    write(frame_of(20, 0), tmp_path / "log.csv")
+    for k in range(5):
+        (tmp_path / f".part {k}.txt").touch()
+    assert len(read(tmp_path)) == 20
+    folder = tmp_path / "below"
+    folder.mkdir()
+    (folder / "a.jpg").touch()
+    with pytest.raises(ValueError, match=r"^path must be the folder of a log; .* 5 "):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_folder_that_cannot_be_read_is_refused(tmp_path, read, monkeypatch):
+    for name in ("a", "b", ".git"):
+        (tmp_path / name).mkdir()
+    write(frame_of(20, 0), tmp_path / "a" / "log.csv")
+    scan = os.scandir
+    closed = {str(tmp_path / ".git")}
+
+    def refuse(path):
+        if os.fspath(path) in closed:
+            raise PermissionError(13, "Permission denied", os.fspath(path))
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # it stands in a subfolder
+        assert len(read(tmp_path)) == 20  # a hidden folder holds no log
+    closed.add(str(tmp_path / "b"))
+    with pytest.raises(ValueError, match=r"^path must name a folder .*b' cannot"):
+        read(tmp_path)

@@ -65,6 +65,14 @@ def test_a_table_of_returns(tmp_path):
     assert not trials.is_success
 
 
+@pytest.mark.parametrize("number", ["9" * 400, "9" * 5000, "1e999", "NaN", "[1]"])
+def test_a_return_that_is_no_float_is_refused(tmp_path, number):
+    path = tmp_path / "eval_info.json"
+    path.write_text('{"per_episode": [{"sum_reward": ' + number + "}]}")
+    with pytest.raises(ValueError, match=r"^'.*eval_info.json'.* must (be|have) "):
+        oee.Trials.load(path, measure="return")
+
+
 @pytest.mark.parametrize("words", [("1", "0"), ("true", "false"), ("True", "False")])
 def test_a_table_of_successes(tmp_path, words):
     path = tmp_path / "t.csv"

@@ -50,6 +50,23 @@ def test_much_data_deploys_what_is_better(deployed):
     assert_array_equal(named[deployed.name].policy, deployed.policy)
 
 
+def test_only_policies_that_the_log_made_are_lowered_for_it(deployed, recorded):
+    """A policy of your own is not; a short log shows more of it than a long one."""
+    own = oee.improve(problem_of(30), RUNNING, candidates={"expert": EXPERT})
+    assert own.candidates[0].name == "expert"
+    assert own.candidates[0].optimism == 0.0
+    short = oee.improve(problem_of(5), RUNNING)
+    for found in (deployed, recorded, own, short):
+        assert all(each.optimism >= 0.0 for each in found.candidates)
+    largest = [
+        max(each.optimism for each in found.candidates) for found in (short, deployed)
+    ]
+    assert largest[0] > largest[1]
+    assert "lowered by how much better" in str(short)
+    saved = short.to_dict()["candidates"]
+    assert max(each["optimism"] for each in saved) == largest[0]
+
+
 def test_little_data_says_what_to_record(recorded):
     assert recorded.decision == "record"
     assert not recorded.deploy

@@ -47,7 +47,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -578,10 +578,10 @@ def discretize(
                 f"must be 0 without a log, for {task.name} has no others; it is"
                 f" {floor}",
             )
-    chosen = _choose_cells(process) if cells is None else cells
+    chosen: Any = _choose_cells(process) if cells is None else cells
     if isinstance(chosen, bool):
         raise ArgumentError("cells", f"must be a number or a grid; got {chosen}")
-    if isinstance(chosen, int | np.integer):
+    if _checks.is_integer(chosen):
         chosen = VisitedCells(int(chosen))
     elif not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
         try:

@@ -85,8 +85,10 @@ class Grid:
         for axis, size in enumerate(self.shape):
             both = (corner[:, axis, None] + [0, 1]) % size
             share = np.stack([1.0 - fraction[:, axis], fraction[:, axis]], axis=1)
-            numbers = (size * numbers[:, :, None] + both[:, None]).reshape(n, -1)
-            weights = (weights[:, :, None] * share[:, None]).reshape(n, -1)
+            n_corners = 2 ** (axis + 1)
+            numbers = size * numbers[:, :, None] + both[:, None]
+            numbers = numbers.reshape(n, n_corners)
+            weights = (weights[:, :, None] * share[:, None]).reshape(n, n_corners)
         parts = weights.ravel(), numbers.ravel(), np.arange(n + 1) * weights.shape[1]
         matrix = sparse.csr_array(parts, shape=(n, self.n_cells))
         return canonical(matrix, drop_zeros=True)

@@ -646,7 +646,7 @@ def _pick(weights: Csr, draws: Array | None) -> IntArray:
     """
     low = weights.indptr[:-1]
     width = np.diff(weights.indptr)
-    table = np.zeros((len(width), int(width.max())))
+    table = np.zeros((len(width), int(width.max(initial=1))))
     table[np.arange(table.shape[1]) < width[:, None]] = weights.data
     if draws is None:
         pick = table.argmax(axis=1)

@@ -160,16 +160,16 @@ GOALS = freeze(
 REACH = np.array([0.24, 0.24, 0.20])
 
 
-def goal_number(goal: object) -> int:
+def goal_number(goal: Any) -> int:
     """Return ``goal`` as a row number of GOALS."""
-    number = goal if isinstance(goal, int | np.integer) else -1
-    if isinstance(goal, bool) or not 0 <= number < len(GOALS):
+    number = int(goal) if _checks.is_integer(goal) else -1
+    if not 0 <= number < len(GOALS):
         raise ArgumentError(
             "goal",
             f"must be in 0..{len(GOALS) - 1}, a row of GOALS; it is"
             f" {_checks.show(goal)}",
         )
-    return int(number)
+    return number
 
 
 class HandTask(ContinuousTask):

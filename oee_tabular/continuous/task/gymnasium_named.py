@@ -353,7 +353,7 @@ def action_set(space: Any, given: RealArrayLike | None = None) -> Array:
         )
     k = space.shape[0]
     count = N_LEVELS.get(k, 3) if given is None else given
-    if isinstance(count, int | np.integer):
+    if _checks.is_integer(count):
         n = _checks.positive_integer(count, "actions")
         if n > MAX_COMMANDS:
             raise ArgumentError(

@@ -74,7 +74,7 @@ def link_bodies(length: float, inertia: Literal["box", "capsule"] = "box") -> Ar
     """
     long = _checks.number_in(length, "length", 0.0, MAX_LENGTH)
     if long == 0.0:
-        raise ArgumentError("length", f"must be positive; it is {length}")
+        raise ArgumentError("length", f"must be positive; it is {_checks.show(length)}")
     _checks.one_of(inertia, "inertia", INERTIAS)
     rod = DENSITY * np.pi * RADIUS**2 * long
     ball = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3

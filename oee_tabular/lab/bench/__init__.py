@@ -311,8 +311,12 @@ def measure_cell(
     name = str(cell["family"])
     size = float(cell["size"])
     family = find_family(source, name, seed)
+    try:
+        number = family.size(size)
+    except ArgumentError as error:
+        raise ArgumentError("sizes", f"{error.rule}, for the family {name}") from None
     own = Stream(stream.experiment, seed, {"family": name, "size": size})
-    problem = family.problem(family.size(size), own.generator(use="log"))
+    problem = family.problem(number, own.generator(use="log"))
     facts = {
         "seed": seed,
         "families": kind_of(name, source),
