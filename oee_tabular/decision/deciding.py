@@ -167,30 +167,31 @@ def improve(
         box = (lower_ratio, upper_ratio)
         return Gain(certifier, problem, policy, runs, level, box, factor)
 
-    require_consistent_box(gain_of(runs))
-    gains: dict[str, Gain] = {}
-    for name, policy in propose(chooser, runs, own, has_log=share is not None):
-        gains[name] = gain_of(policy)
-    logs = (problem,) if share is None else (problem, certifier)
-    from_counts = {
-        name
-        for name in own
-        if any(_is_from_counts(log, own[name], runs) for log in logs)
-    }
-    optimism: dict[str, float] = {}
-    if share is None and len(gains) > len(own):
-        optimism = measure_optimism(problem, runs)
-    found = _bound(gains, from_counts, optimism)
-    best = _choose(found)
-    largest = max(abs(each.gain) for each in found if math.isfinite(each.gain))
-    decision: Verdict = "keep"
-    plan: Plan | None = None
-    if best.gain_lower > 0.0:
-        decision = "deploy"
-    elif best.gain > GAIN_TOLERANCE * largest > 0.0:
-        plan = _plan(problem, best, runs, level)
-        if plan is not None and plan.n <= MAX_LOGS * max(problem.counts.sum(), 1):
-            decision = "record"
+    with _progress.show_steps(only_terminal=True):
+        require_consistent_box(gain_of(runs))
+        gains: dict[str, Gain] = {}
+        for name, policy in propose(chooser, runs, own, has_log=share is not None):
+            gains[name] = gain_of(policy)
+        logs = (problem,) if share is None else (problem, certifier)
+        from_counts = {
+            name
+            for name in own
+            if any(_is_from_counts(log, own[name], runs) for log in logs)
+        }
+        optimism: dict[str, float] = {}
+        if share is None and len(gains) > len(own):
+            optimism = measure_optimism(problem, runs)
+        found = _bound(gains, from_counts, optimism)
+        best = _choose(found)
+        largest = max(abs(each.gain) for each in found if math.isfinite(each.gain))
+        decision: Verdict = "keep"
+        plan: Plan | None = None
+        if best.gain_lower > 0.0:
+            decision = "deploy"
+        elif best.gain > GAIN_TOLERANCE * largest > 0.0:
+            plan = _plan(problem, best, runs, level)
+            if plan is not None and plan.n <= MAX_LOGS * max(problem.counts.sum(), 1):
+                decision = "record"
     return Improvement(
         policy=best.policy,
         gain=best.gain,

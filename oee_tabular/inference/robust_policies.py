@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular import _checks, _printing
+from oee_tabular import _checks, _printing, _progress
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._parallel import dot, one_thread
 from oee_tabular._results import checked
@@ -203,6 +203,13 @@ def robust_policy(
     )
     every = uniform_policy(simulator)
     evidence = evidence_of(simulator, every, steps, None, lower_ratio, upper_ratio)
+    with _progress.show_steps(only_terminal=True):
+        return _find_policy(evidence, steps)
+
+
+def _find_policy(evidence: Evidence, steps: int | None) -> RobustPolicy:
+    """Find the policy whose worst value is the largest."""
+    simulator = evidence.model
     if steps is not None:
         return _induce_backward(evidence, steps)
     if simulator.discount < 1.0:
@@ -315,6 +322,7 @@ def _improve(evidence: Evidence, left_out: BoolArray | None = None) -> Found:
     while True:
         actions = evidence.policy.argmax(axis=1)
         earlier.add(actions.tobytes())
+        _progress.report_step(f"the worst case of policy {len(earlier)}")
         if model.discount == 1.0:
             require_end(evidence)
         values, step = _settle(evidence, p, left_out)
@@ -430,6 +438,7 @@ def _induce_backward(evidence: Evidence, steps: int) -> RobustPolicy:
     p = evidence.phat.copy()
     gap = 0.0
     for t in range(steps - 1, -1, -1):
+        _progress.report_step(f"step {t} of {steps}, from the last one back")
         step = _back_up(evidence, values, p)
         policy[t] = choices[step.least.argmax(axis=1)]
         values = step.least.max(axis=1)

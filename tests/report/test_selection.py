@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks import made_from_log
 from helpers import random_mdp, random_policy, rngs
 from hypothesis import given, settings
 
@@ -147,3 +148,11 @@ def test_policies_that_are_nobody_s_choice(rng):
     # the simulator's own frequencies
     same = oee.Problem(simulator, 1e9 * simulator.transitions)
     assert not is_best_in_log(same, oee.optimal_policy(simulator))
+
+
+def test_the_study_of_the_note_runs():
+    """The small twin of ``python tests/benchmarks/made_from_log.py``."""
+    noted, others, held = made_from_log.measure(["garnet_worse", "machine"], 30, 4)
+    assert noted >= 0.5
+    assert others == 0.0
+    assert 0.0 <= held <= 1.0
