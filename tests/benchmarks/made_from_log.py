@@ -4,9 +4,10 @@
     python tests/benchmarks/made_from_log.py --logs 2
 
 For each number of transitions a pair it prints how often the policy that is best in the
-log's counts, and neither in the corrected simulator nor in the simulator, gets the note of
-``oee.evaluate``, how often its 95% interval then holds the true value, and how often the note stands by the corrected simulator's and the
-simulator's best policies and the recording one.
+log's counts, and neither in the corrected simulator nor in the simulator, gets the note
+of ``oee.evaluate``, how often its 95% interval then holds the true value, and how often
+the note stands by the corrected simulator's and the simulator's best policies and the
+recording one.
 """
 
 import argparse
