@@ -633,6 +633,8 @@ Trials([[1.0]])  ->  returns must have 1 dimension(s)
 Trials([1.0], discount=2)  ->  discount must be in [0, 1]; it is 2
 Trials([1.0], horizon=0)  ->  horizon must be a positive integer
 Trials([1.0, 2.0], policy=["a"])  ->  policy must be one name, or 2, one for each trial; there are 1
+Trials.from_successes(1, 2, success=[np.nan])  ->  success[0] must be a name or a number; got nan
+Trials.from_successes(1, 2, success=[[1]])  ->  success[0] must be a name or a number
 Trials([1.0], policy=[None])  ->  policy[0] must be finite; it is nan
 Trials([1.0], policy=[""])  ->  policy[0] must be a name
 Trials([1.0], policy="")  ->  policy must be a name that is not empty

@@ -368,7 +368,8 @@ def _refuse_again(paths: Sequence[str]) -> None:
     again = sorted(str(name) for name, number in numbers.items() if number > 1)
     if again:
         raise ArgumentError(
-            "path", f"must name each file once; {again[0]!r} is named twice"
+            "path",
+            f"must name each file once; {_checks.show(again[0])} is named twice",
         )
 
 

@@ -595,6 +595,12 @@ def _check_states(success: Any) -> tuple[Name | int, ...]:
     states = _checks.collection(success, "success", "states, by name or number")
     if not states:
         raise ArgumentError("success", "must name at least one state; it is empty")
+    for k, state in enumerate(states):
+        if not isinstance(state, str | tuple) and not _checks.is_integer(state):
+            raise ArgumentError(
+                f"success[{k}]",
+                f"must be a name or a number; got {_checks.show(state)}",
+            )
     return states
 
 
