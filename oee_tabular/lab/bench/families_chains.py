@@ -10,16 +10,9 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.lab.bench.family import (
-    Family,
-    Maker,
-    Moves,
-    PairOptions,
-    binomial,
-    cross,
-    poisson,
-    shift,
-)
+from oee_tabular.lab.bench.family import Family
+from oee_tabular.lab.bench.laws import binomial, cross, poisson
+from oee_tabular.lab.bench.shift import Maker, Moves, PairOptions, shift
 from oee_tabular.typing import Array, BoolArray, IntArray
 
 HIGHER = "Customers ask for more than simulated."

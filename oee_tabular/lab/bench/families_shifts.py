@@ -14,16 +14,9 @@ import numpy as np
 from scipy import optimize, stats
 
 from oee_tabular.exact import optimal_policy, policy_value, state_values
-from oee_tabular.lab.bench.family import (
-    Family,
-    Maker,
-    Moves,
-    cross,
-    normalize,
-    pair,
-    poisson,
-    shift,
-)
+from oee_tabular.lab.bench.family import Family
+from oee_tabular.lab.bench.laws import cross, normalize, poisson
+from oee_tabular.lab.bench.shift import Maker, Moves, pair, shift
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.typing import Array, IntArray
 
