@@ -64,7 +64,7 @@ def test_the_guide_prints_what_it_shows(tmp_path, monkeypatch, capsys):
     run(sections("guide")["From a simulator, a log and a policy to a value"], capsys)
 
 
-EXTRAS = {"From PRISM or Storm and back": "umbi"}
+EXTRAS = {"From PRISM or Storm and back": "umbi", "Use a cluster": "distributed"}
 
 
 @pytest.mark.parametrize("heading", sections("how_to"))

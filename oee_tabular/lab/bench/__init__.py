@@ -22,11 +22,12 @@ file                what is in it
 ==================  ====================================================================
 """
 
-from oee_tabular.lab.bench.families import Families, families
+from oee_tabular.lab.bench.families import families
 from oee_tabular.lab.bench.families_chains import tandem
 from oee_tabular.lab.bench.families_garnets import garnet_worse
 from oee_tabular.lab.bench.family import Family
 from oee_tabular.lab.bench.league import League, league_of
+from oee_tabular.lab.bench.mapping import Families
 from oee_tabular.lab.bench.sweep import run
 
 __all__ = [

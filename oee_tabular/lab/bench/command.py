@@ -11,13 +11,13 @@ from oee_tabular import _checks, _files
 from oee_tabular._progress import is_terminal
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.estimators import REFERENCES, split
-from oee_tabular.lab.bench.families import Families
 from oee_tabular.lab.bench.league import (
     check_labels,
     labels_of,
     league_files,
     league_of,
 )
+from oee_tabular.lab.bench.mapping import Families
 from oee_tabular.lab.bench.sources import families_at, find_family
 from oee_tabular.lab.bench.sweep import SEEDS, SIZES, TIMEOUT_SECONDS, plan
 from oee_tabular.lab.run import Store, run_and_write

@@ -12,8 +12,9 @@ from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._results import conform
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.estimators import split
-from oee_tabular.lab.bench.families import Families, families
+from oee_tabular.lab.bench.families import families
 from oee_tabular.lab.bench.family import Family
+from oee_tabular.lab.bench.mapping import Families
 
 FamiliesLike: TypeAlias = (
     str | Iterable[str] | Mapping[str, Family] | Callable[..., Mapping[str, Family]]
