@@ -17,14 +17,16 @@ file                what is in it
 ``sources``         families by name, as MODULE:OBJECT, mapping or function
 ``family``          ``Family``, a pair of environments with a policy
 ``families``        the package's families by name; ``families_...`` make them
+``shift``, ``laws`` what families are made of: two models that differ, distributions
+``mapping``         ``Families``, which makes a family when it is looked up
 ``league``          the summary of a run's rows: cells, league, page and pictures
 ``improvement``     another league: what ``oee.improve`` deploys
 ==================  ====================================================================
 """
 
 from oee_tabular.lab.bench.families import families
-from oee_tabular.lab.bench.families_chains import tandem
 from oee_tabular.lab.bench.families_garnets import garnet_worse
+from oee_tabular.lab.bench.families_stocks import tandem
 from oee_tabular.lab.bench.family import Family
 from oee_tabular.lab.bench.league import League, league_of
 from oee_tabular.lab.bench.mapping import Families

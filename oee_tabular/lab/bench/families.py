@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.lab.bench import families_chains as chains
+from oee_tabular.lab.bench.families_chains import CHAINS
 from oee_tabular.lab.bench.families_garnets import GARNETS, LARGE_GARNETS
 from oee_tabular.lab.bench.families_grids import FLOORS, TOY_TEXT, one_way_grid
 from oee_tabular.lab.bench.families_measured import (
@@ -16,22 +16,25 @@ from oee_tabular.lab.bench.families_measured import (
     real_buses,
 )
 from oee_tabular.lab.bench.families_shifts import FAMILIES as SHIFTS
+from oee_tabular.lab.bench.families_stocks import STOCKS, tandem
+from oee_tabular.lab.bench.families_trades import TRADES
 from oee_tabular.lab.bench.family import check_seed
 from oee_tabular.lab.bench.mapping import Families
 from oee_tabular.lab.bench.shift import Maker
 
 MADE: Mapping[str, Maker] = {
-    **chains.FIRST,
+    **STOCKS,
+    **CHAINS,
     **FLOORS,
     **GARNETS,
     **TOY_TEXT,
     "icu_sepsis": icu_sepsis,
-    **chains.TRADES,
+    **TRADES,
     "one_way_grid": one_way_grid,
     **SHIFTS,
     "rust_buses": real_buses,
 }
-LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **LARGE_GARNETS}
+LARGE: Mapping[str, Maker] = {"tandem45": lambda: tandem(45), **LARGE_GARNETS}
 HELD = (  # whose results nobody saw while the default was chosen
     "blend_with_stranger",
     "epidemic_superspreading",
