@@ -17,7 +17,8 @@ file                what is in it
 ``sources``         families by name, as MODULE:OBJECT, mapping or function
 ``family``          ``Family``, a pair of environments with a policy
 ``families``        the package's families by name; ``families_...`` make them
-``shift``, ``laws`` what families are made of: two models that differ, distributions
+``shift``           what most families are: two models that differ in parameters
+``laws``            distributions that transitions are made of
 ``mapping``         ``Families``, which makes a family when it is looked up
 ``league``          the summary of a run's rows: cells, league, page and pictures
 ``improvement``     another league: what ``oee.improve`` deploys
