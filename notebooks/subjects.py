@@ -11,6 +11,8 @@ SUBJECTS = {
         "From a problem to a report": (
             "evaluate",
             "evaluate_continuous",
+            "ContinuousSimulator",
+            "Settings",
             "Report",
             "Result",
         ),
@@ -163,8 +165,6 @@ SUBJECTS = {
             "MonteCarlo",
             "monte_carlo_value",
             "StatePolicy",
-            "ContinuousSimulator",
-            "Settings",
             "gymnasium_simulator",
         ),
         "Continuous tasks corrected by a log": (
@@ -323,11 +323,6 @@ SUBJECTS = {
 }
 
 
-# names that another module's page has; the links from the source to the page need
-# all names of one file on one page
-ELSEWHERE = {"tasks": {"evaluate_continuous"}, "report": {"Settings"}}
-
-
 def public(module):
     """The public names of a module: its ``__all__``, or those of the package that come
     from it.
@@ -335,7 +330,7 @@ def public(module):
     loaded = importlib.import_module(f"oee_tabular.{module}")
     names = getattr(loaded, "__all__", None)
     if names is not None:
-        return set(names) - ELSEWHERE.get(module, set())
+        return set(names)
     top = {
         name: getattr(getattr(oee_tabular, name), "__module__", "")
         for name in oee_tabular.__all__

@@ -11,8 +11,9 @@ from scipy.optimize import brentq
 
 import oee_tabular as oee
 from oee_tabular import estimators, exact, inference, testing
+from oee_tabular.continuous import kinova
 from oee_tabular.shrinkage.strength import score
-from oee_tabular.tasks import CartPole, discretize, kinova
+from oee_tabular.tasks import CartPole, discretize
 
 ROW = np.array([0.7, 0.1, 0.1, 0.1])
 

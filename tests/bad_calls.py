@@ -533,6 +533,7 @@ true_ratio(GRID, STIFF)  ->  target must stay in the simulator's support: ... of
 true_ratio(mdp(), GRID)  ->  target and simulator must have the same states and
 true_ratio(GRID, GRID).maximum_likelihood_model(GRID)  ->  a ratio of method 'true' has no maximum-likelihood model
 zeta(prior="flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+zeta(prior="average")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
 zeta(strength="q")  ->  strength must be one of 'evidence', 'loo'
 zeta(ridge="cv")  ->  ridge must be one of 'evidence', 'loo'
 zeta(toward=-1)  ->  toward must be in [0, inf)
@@ -600,6 +601,7 @@ Conditional(prior_that_returns(None)).fit(LOG, GRID)  ->  prior must return Prio
 Conditional(prior_that_returns(PriorRows([1.0]))).fit(LOG, GRID)  ->  prior must return a kappa for each of 36 rows; it
   returned 1
 Shrinkage("flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+Shrinkage("average")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
 Shrinkage(3.0)  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
 Shrinkage(strength="q")  ->  strength must be one of 'evidence', 'loo'
 Shrinkage(strength=np.nan)  ->  strength must be in [0, inf)
@@ -704,7 +706,8 @@ plan(P, horizon=4)  ->  horizon must be left out with a Problem, which has its o
 plan(GRID, UNIFORM[:3])  ->  policies must have shape (9, 4) (states, actions)
 plan(GRID, {"a": UNIFORM, "b": 0.5 * UNIFORM})  ->  policies['b'][0] must sum to 1
 plan(GRID, {})  ->  policies must have at least one policy
-plan(GRID, solver="SCS")  ->  solver must be one of 'auto', 'frank_wolfe', 'CLARABEL'
+plan(GRID, solver="SCS")  ->  solver must be one of 'auto', 'CLARABEL'
+plan(GRID, solver="frank_wolfe")  ->  solver must be one of 'auto', 'CLARABEL'
 plan(GRID, model="truth")  ->  model must be one of 'estimate', 'simulator'
 plan(GRID, model=GRID.transitions)  ->  model must be 'estimate', 'simulator' or a FiniteMDP
 plan(GRID, model=mdp())  ->  model must be for 9 states and 4 actions

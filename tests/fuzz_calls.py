@@ -61,6 +61,7 @@ INNER = {
         *("clear", "pop", "popitem", "setdefault", "update"),
     ),
     "ratio": ("limit", "Method.fit", "fit_rows"),
+    "report": ("ContinuousSimulator.policy",),  # of words of the command line
     "shrinkage": ("fit_rows", "move"),
 }
 # calls of objects that a task makes for each of its steps, after its checks

@@ -218,6 +218,7 @@ for room in (
     oee.ratio,
     oee.shrinkage,
     oee.simulate,
+    oee.report,
     oee.tasks,
     oee.testing,
     oee.theory,

@@ -64,7 +64,7 @@ def test_the_guide_prints_what_it_shows(tmp_path, monkeypatch, capsys):
     run(sections("guide")["From a simulator, a log and a policy to a value"], capsys)
 
 
-EXTRAS = {"From PRISM or Storm and back": "umbi"}
+EXTRAS = {"From PRISM or Storm and back": "umbi", "Use a cluster": "distributed"}
 
 
 @pytest.mark.parametrize("heading", sections("how_to"))
@@ -89,7 +89,8 @@ def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "page", ["peers", "intervals", "deciding", "statements", "trials"]
+    "page",
+    ["peers", "other_libraries", "intervals", "deciding", "statements", "trials"],
 )
 def test_pages_print_what_they_show(page, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -153,13 +153,12 @@ DETAILS: dict[str, dict[str, str]] = {
         "restart_costs_a_move=true|false": (
             "Record one more transition in the state that ended an episode, or not."
         ),
-        "solver=auto|frank_wolfe|CLARABEL": "The solver of the plan.",
+        "solver=auto|CLARABEL": "The solver of the plan.",
     },
     "sample --task-option": {"state=MODULE:GET,SET": _STATE, "actions=9": _ACTIONS},
     "bench --estimators": {
         "evaluate": "What `oee evaluate` prints.",
         "MODULE:OBJECT": "An estimator of your own.",
-        "scope-rl:NAME, offline-rl-ope:NAME": "An estimator of that package.",
         "NAME": _NAMES,
         "with the target": _TARGET_NAMES,
     },

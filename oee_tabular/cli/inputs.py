@@ -150,7 +150,7 @@ def _as_mdp(
     if isinstance(made, oee.tasks.ContinuousTask):
         raise ValueError(
             f"simulator {spec!r} is a ContinuousTask, which Python takes:"
-            " tasks.evaluate_continuous(task, log, policies, horizon=...); a command"
+            " report.evaluate_continuous(task, log, policies, horizon=...); a command"
             " takes a registered MODULE:EnvId-v0"
         )
     space = getattr(made, "observation_space", None)

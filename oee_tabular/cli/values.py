@@ -1056,7 +1056,7 @@ def bench(
     They are measured on families of environment shift. An interrupted run goes on where
     it stopped.
     """
-    from oee_tabular.lab.bench import bench as run
+    from oee_tabular.lab.bench.command import bench as run
 
     _print_lines(
         lambda say: run(

@@ -105,9 +105,9 @@ def kinova(
     """Make the simulated stand-in for the Gen3 that moves its hand to a goal.
 
     It is not the robot. MuJoCo is needed. Parameters are those of
-    ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs
+    ``tasks.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs
     of the hand's position (x, y, z) alone, as a real arm's would be
-    (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
+    (``tasks.hand_log`` makes them), against a model of the hand fitted to the
     simulated arm. On cells: defensive (a tenth of the transitions half or one and a
     half times as far), zeta tied over displacements, calibrated by the difference.
     """

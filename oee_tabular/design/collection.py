@@ -112,10 +112,10 @@ def plan_data_collection(
     restart_costs_a_move : bool, default False
         Whether one more transition is recorded in the state that ended an episode.
         Otherwise the transition after an episode's end is from a first state.
-    solver : {'auto', 'frank_wolfe', 'CLARABEL'}, default 'auto'
+    solver : {'auto', 'CLARABEL'}, default 'auto'
         "auto" is in closed form for one policy and free sampling, else an interior
-        point method, to a gap of 0.01%; "frank_wolfe" is an older name of it.
-        "CLARABEL" is Clarabel by cvxpy: a smaller gap, but slow above 4000 pairs.
+        point method, to a gap of 0.01%. "CLARABEL" is Clarabel by cvxpy: a smaller gap,
+        but slow above 4000 pairs.
     confidence : float, default 0.95
         The level in (0, 1) of the intervals whose widths are predicted (J ± z standard
         errors).
@@ -182,7 +182,7 @@ def plan_data_collection(
     counts, mdp, steps = _counts_and_simulator(problem, horizon)
     number = _checks.positive_integer(n, "n")
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
-    _checks.one_of(solver, "solver", ("auto", "frank_wolfe", "CLARABEL"))
+    _checks.one_of(solver, "solver", ("auto", "CLARABEL"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     box = check_box(
         lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio")

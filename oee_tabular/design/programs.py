@@ -25,7 +25,7 @@ from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio.statements import run
 from oee_tabular.typing import Array, BoolArray, Csr
 
-Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
+Solver = Literal["auto", "CLARABEL"]
 # q (S*A,), its largest F_k, and a lower bound of that of every q
 Solution = tuple[Array, float, float]
 GAP_TOLERANCE = 1e-4  # the relative gap at which the interior point method ends

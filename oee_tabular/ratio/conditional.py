@@ -136,9 +136,7 @@ class Conditional(Method):
                 )
             prior = "none"
         if prior is None or isinstance(prior, str):
-            # The first edition called its default "average".
-            named = "ridge" if prior in (None, "average") else prior
-            object.__setattr__(self, "prior", named)
+            object.__setattr__(self, "prior", "ridge" if prior is None else prior)
             if self.strength is None:
                 object.__setattr__(self, "strength", "evidence")
         else:

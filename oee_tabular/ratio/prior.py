@@ -23,7 +23,7 @@ from oee_tabular.typing import Array
 if TYPE_CHECKING:
     from oee_tabular.ratio.method import RatioInput
 
-PriorName: TypeAlias = Literal["ridge", "tilt", "simulator", "none", "average"]
+PriorName: TypeAlias = Literal["ridge", "tilt", "simulator", "none"]
 Criterion: TypeAlias = Literal["evidence", "loo"]
 
 

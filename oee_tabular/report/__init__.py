@@ -24,10 +24,15 @@ from oee_tabular.report.uncertainty import Uncertainty as Uncertainty
 from oee_tabular.report.uncertainty import choose_interval as choose_interval
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous import Settings, evaluate_continuous
+    from oee_tabular.continuous import (
+        ContinuousSimulator,
+        Settings,
+        evaluate_continuous,
+    )
 
 # what users find here; what is imported above "as" itself is for other rooms alone
 __all__ = [
+    "ContinuousSimulator",
     "Report",
     "Result",
     "Settings",

@@ -203,7 +203,7 @@ def evaluate(
     See Also
     --------
     oee_tabular.report.contest : Compare policies by off-environment evaluation alone.
-    oee_tabular.tasks.evaluate_continuous : Evaluate policies of continuous tasks.
+    oee_tabular.report.evaluate_continuous : Evaluate policies of continuous tasks.
     oee_tabular.inference.interval : Compute one interval, by any of four methods.
     oee_tabular.design.plan_data_collection : Choose what to record next.
 

@@ -109,9 +109,6 @@ class Shrinkage:
 
     def __post_init__(self) -> None:
         """Check the name, the strength and the features."""
-        # The first edition called its default "average".
-        if isinstance(self.prior, str) and self.prior == "average":
-            object.__setattr__(self, "prior", "ridge")
         _checks.one_of(self.prior, "prior", PRIORS)
         if self.features is not None and self.prior not in TILTED_PRIORS:
             raise ArgumentError(

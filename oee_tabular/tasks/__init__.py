@@ -1,7 +1,10 @@
-"""Tasks as finite MDPs: gridworld, robot, buses, Gymnasium's toy text, continuous ones.
+"""Tasks: what problems are made from.
 
-The gridworld is the paper's, the bus engines are real data (Rust, 1987). The continuous
-tasks are in ``oee_tabular.continuous``.
+Finite ones are the paper's gridworld, a recycling robot, bus engines (real data; Rust,
+1987) and Gymnasium's toy text. Continuous ones, their corrections by a log and their
+cells come from the wing ``oee_tabular.continuous`` on use; this is their only public
+place. What evaluates them (``evaluate_continuous``, with its settings) is in
+``oee_tabular.report``.
 """
 
 from __future__ import annotations
@@ -26,7 +29,6 @@ from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_te
 if TYPE_CHECKING:  # continuous tasks are imported on use
     from oee_tabular.continuous import (
         CartPole,
-        ContinuousSimulator,
         ContinuousTask,
         Discretization,
         GridInterpolation,
@@ -40,13 +42,11 @@ if TYPE_CHECKING:  # continuous tasks are imported on use
         ParameterFit,
         Reacher,
         ResidualSimulator,
-        Settings,
         StatePolicy,
         VisitedCells,
         cartpole_policy,
         corrected_value,
         discretize,
-        evaluate_continuous,
         fit_hand,
         fit_parameters,
         gymnasium_simulator,
@@ -68,7 +68,6 @@ if TYPE_CHECKING:  # continuous tasks are imported on use
 __all__ = [
     "BusEngines",
     "CartPole",
-    "ContinuousSimulator",
     "ContinuousTask",
     "Discretization",
     "Embedded",
@@ -84,7 +83,6 @@ __all__ = [
     "ParameterFit",
     "Reacher",
     "ResidualSimulator",
-    "Settings",
     "StatePolicy",
     "VisitedCells",
     "bus_engines",
@@ -92,7 +90,6 @@ __all__ = [
     "corrected_value",
     "discretize",
     "embedded_default",
-    "evaluate_continuous",
     "fit_hand",
     "fit_parameters",
     "gridworld",
@@ -120,9 +117,6 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Return a name of ``oee_tabular.continuous``, which is imported on use."""
-    # the package of the Kinova arm, under the name by which notebook 09 reads it
-    if name == "kinova":
-        return importlib.import_module("oee_tabular.continuous.task.kinova")
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

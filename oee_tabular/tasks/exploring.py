@@ -79,21 +79,9 @@ def explore_environment(
     limit = _checks.positive_integer(max_steps, "max_steps")
     require_environment(env)
     n_actions = count_actions(env)
-    space = getattr(env, "observation_space", None)
-    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
-        raise ArgumentError(
-            "env.observation_space",
-            f"must be discrete (cut a continuous one into cells first); it is {space}",
-        )
+    _refuse_vectors(env)
     size = count_observations(env)
-    actions = None
-    if names[1] is not None:
-        actions = check_names(names[1], "action_names", n_actions)
-    states = None
-    if names[0] is not None:
-        rule = "a sequence of texts or tuples"
-        states = _checks.collection(names[0], "state_names", rule)
-        states = check_names(states, "state_names", size or len(states))
+    states, actions = _check_both_names(names, size, n_actions)
     explorer = Explorer(
         env, n_actions, n_wanted, _checks.generator(seed), size, masked=masked
     )
@@ -102,10 +90,47 @@ def explore_environment(
     called = Names(state_names, actions)
     if explorer.lacking:
         _warn_of_lacking_pairs(explorer, number, called, limit)
+    shape = (n_states, n_actions)
+    return Samples(
+        _outcomes_of(explorer, number),
+        number[explorer.starts],
+        called,
+        shape,
+        _available_of(explorer, number, shape),
+    )
+
+
+def _refuse_vectors(env: Any) -> None:
+    """Raise an error where observations are vectors of floating-point numbers."""
+    space = getattr(env, "observation_space", None)
+    if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be discrete (cut a continuous one into cells first); it is {space}",
+        )
+
+
+def _check_both_names(
+    names: tuple[Any, Any], n_observations: int | None, n_actions: int
+) -> tuple[tuple[Name, ...] | None, tuple[Name, ...] | None]:
+    """Check the names of states and of actions, where they are given."""
+    actions = None
+    if names[1] is not None:
+        actions = check_names(names[1], "action_names", n_actions)
+    states = None
+    if names[0] is not None:
+        rule = "a sequence of texts or tuples"
+        states = _checks.collection(names[0], "state_names", rule)
+        states = check_names(states, "state_names", n_observations or len(states))
+    return states, actions
+
+
+def _outcomes_of(explorer: Explorer, number: IntArray) -> Outcomes:
+    """Return the transitions that the agent made, each once, by numbers of states."""
     state, action, following, reward, terminated = (
         np.array(c) for c in zip(*explorer.transitions, strict=True)
     )
-    outcomes = Outcomes(
+    return Outcomes(
         number[state],
         action,
         number[following],
@@ -113,13 +138,18 @@ def explore_environment(
         reward,
         terminated,
     )
-    available = None
-    if explorer.masks:
-        available = np.ones((n_states, n_actions), dtype=np.bool_)
-        for met, mask in explorer.masks.items():
-            available[number[met]] = mask
-    shape = (n_states, n_actions)
-    return Samples(outcomes, number[explorer.starts], called, shape, available)
+
+
+def _available_of(
+    explorer: Explorer, number: IntArray, shape: tuple[int, int]
+) -> BoolArray | None:
+    """Return the actions that can be taken in each state, None where no mask was met."""
+    if not explorer.masks:
+        return None
+    available = np.ones(shape, dtype=np.bool_)
+    for met, mask in explorer.masks.items():
+        available[number[met]] = mask
+    return available
 
 
 def _number_states(

@@ -515,7 +515,7 @@ def test_without_mujoco_everything_imports_and_says_which_extra():
     code = (
         "import sys; sys.modules['mujoco'] = None\n"
         "import oee_tabular.lab.experiments.kinova\n"
-        "from oee_tabular.tasks import kinova\n"
+        "from oee_tabular.continuous import kinova\n"
         "try:\n    kinova.record_goals(kinova.KinovaArm(), n_runs=1)\n"
         "except ImportError as error:\n    print(error)"
     )

@@ -379,10 +379,10 @@ def collected(base, restart):
 @pytest.mark.parametrize(
     ("counts", "number", "solver"),
     [
-        (0, 1, "frank_wolfe"),
-        (40, 1, "frank_wolfe"),
-        (0, 2, "frank_wolfe"),
-        (40, 2, "frank_wolfe"),
+        (0, 1, "auto"),
+        (40, 1, "auto"),
+        (0, 2, "auto"),
+        (40, 2, "auto"),
         (0, 2, "CLARABEL"),
     ],
 )

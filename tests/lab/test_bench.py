@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.exact import efficiency_bound, occupancy
-from oee_tabular.lab.bench import plan
+from oee_tabular.lab.bench.sweep import plan
 
 SMALL = {"families": ["machine", "garnet_worse"], "sizes": [3], "seeds": 2}
 MACHINE = oee.bench.families()["machine"]

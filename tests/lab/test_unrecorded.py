@@ -11,8 +11,9 @@ import oee_tabular as oee
 from oee_tabular.estimators import OffEnvironment
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.profile_ascent import likelihood_ends
-from oee_tabular.lab.bench import choose_families, families_redrawn
+from oee_tabular.lab.bench import families_redrawn
 from oee_tabular.lab.bench.families_unrecorded import FAULTS, families
+from oee_tabular.lab.bench.sources import choose_families
 from oee_tabular.lab.experiment import Stream
 from oee_tabular.lab.experiments import unrecorded as study
 

@@ -183,7 +183,7 @@ def test_what_the_strength_means():
 
 
 OPTIONS = {
-    "average": {},
+    "ridge": {},
     "tilt": {"prior": "tilt"},
     "box and ridge": {"prior": "simulator", "ridge": 0.1, "lower": 0.2, "upper": 3.0},
     "nothing": {"prior": "none", "ridge": lambda n: 1.0 / n},

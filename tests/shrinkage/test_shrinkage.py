@@ -22,7 +22,7 @@ OPTIONS = [
     {"prior": "simulator"},
     {"prior": "simulator", "strength": 3.0},
     {"prior": "none"},
-    {"prior": "average", "strength": 0.0},
+    {"prior": "ridge", "strength": 0.0},
 ]
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.lab.bench.families_chains import tandem
+from oee_tabular.lab.bench import tandem
 from oee_tabular.tasks import (
     CartPole,
     HistoryTask,

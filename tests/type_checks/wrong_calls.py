@@ -61,7 +61,7 @@ oee.Transitions.from_frame({"state": [0]}, stat="state")  # wrong
 oee.transition_ratio(log, mdp, lowr=0.5)  # wrong
 oee.plan_data_collection(problem, {"a": policy}, m=100)  # wrong
 oee.density_ratio([1.0], [1.0], loer=0.5)  # wrong
-oee.tasks.evaluate_continuous(log=None, polices={})  # wrong
+oee.report.evaluate_continuous(log=None, polices={})  # wrong
 
 # words that are not in the list
 oee.interval(problem, policy, method="likelyhood")  # wrong

@@ -23,21 +23,22 @@ from scipy import optimize
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import occupancy, optimal_policy, state_values
 from oee_tabular.lab.bench import families_redrawn as redrawn
-from oee_tabular.lab.bench.families import Families
-from oee_tabular.lab.bench.families_redrawn import (
-    CHARGE,
+from oee_tabular.lab.bench.families_redrawn import KINDS
+from oee_tabular.lab.bench.families_redrawn.coordinates import (
     COLUMNS_RIGHT,
-    KINDS,
-    LARGE_JOBS,
-    LEVEL,
     ROWS_UP,
-    Generator,
-    Kind,
     clipped,
-    make_pairs,
     parts,
 )
-from oee_tabular.lab.bench.family import Family, Moves, check_seed, poisson, scale_rows
+from oee_tabular.lab.bench.families_redrawn.draws import Generator, between, both
+from oee_tabular.lab.bench.families_redrawn.kind import Kind, make_pairs
+from oee_tabular.lab.bench.families_redrawn.living import LEVEL
+from oee_tabular.lab.bench.families_redrawn.queues import LARGE_JOBS
+from oee_tabular.lab.bench.families_redrawn.stores import CHARGE
+from oee_tabular.lab.bench.family import Family, check_seed
+from oee_tabular.lab.bench.laws import poisson, scale_rows
+from oee_tabular.lab.bench.mapping import Families
+from oee_tabular.lab.bench.shift import Moves
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.typing import Array, BoolArray, IntArray
 
@@ -112,7 +113,7 @@ FLOOR = Kind(
     (64, 4),
     np.append(-np.ones(63), 0.0),
     0.97,
-    redrawn.both(redrawn.between((0.1, 0.25)), redrawn.between((1.0, 1.0))),
+    both(between((0.1, 0.25)), between((1.0, 1.0))),
     floor,
     start=range(63),
     ends=[63],
@@ -122,7 +123,7 @@ ROOMS = Kind(
     (54, 4),
     np.append(-np.ones(53), 0.0),
     0.98,
-    redrawn.both(redrawn.between((0.08, 0.2)), redrawn.between((1.0, 1.0))),
+    both(between((0.08, 0.2)), between((1.0, 1.0))),
     rooms,
     start=range(53),
     ends=[53],
@@ -132,9 +133,9 @@ ORDERS = Kind(
     (20, 5),
     lambda s, a, to: 2.5 * np.maximum(s + 3 * a - to, 0) - 4.0 * a - 0.1 * to,
     0.95,
-    redrawn.both(
-        redrawn.between((3.0, 5.0), (0.05, 0.15)),
-        redrawn.between((1.0, 1.0), (1.0, 1.0)),
+    both(
+        between((3.0, 5.0), (0.05, 0.15)),
+        between((1.0, 1.0), (1.0, 1.0)),
     ),
     orders,
 )
@@ -143,7 +144,7 @@ SLOPE = Kind(
     (31, 3),
     lambda s, a, to: np.where(s == 30, 0.0, 10.0 * (to == 30) - 0.1 - 0.1 * a),
     0.98,
-    redrawn.both(redrawn.between((0.08, 0.12)), redrawn.between((1.0, 1.0))),
+    both(between((0.08, 0.12)), between((1.0, 1.0))),
     slope,
     ends=[30],
     start=range(5, 25),
@@ -153,9 +154,9 @@ WEAR = Kind(
     (24, 3),
     3.0 - 0.01 * np.arange(24.0)[:, None] ** 2 - np.array([0.0, 1.5, 5.0]),
     0.96,
-    redrawn.both(
-        redrawn.between((0.3, 0.45), (0.1, 0.2)),
-        redrawn.between((1.0, 1.0), (1.0, 1.0)),
+    both(
+        between((0.3, 0.45), (0.1, 0.2)),
+        between((1.0, 1.0), (1.0, 1.0)),
     ),
     wear,
 )
@@ -229,9 +230,9 @@ FAULTS: Mapping[str, tuple[Kind, Where, Outcome, tuple[float, float]]] = {
         replace(
             KINDS["battery"],
             about="Nobody boosted a nearly empty battery, which then loses all at once.",
-            draw=redrawn.both(
-                redrawn.between((0.08, 0.14), (0.015, 0.03)),
-                redrawn.between((1.0, 1.0), (1.0, 1.0)),
+            draw=both(
+                between((0.08, 0.14), (0.015, 0.03)),
+                between((1.0, 1.0), (1.0, 1.0)),
             ),
         ),
         lambda family, rng: pairs((50, 3), (CHARGE <= 4) & (CHARGE > 0), 2),
@@ -242,9 +243,9 @@ FAULTS: Mapping[str, tuple[Kind, Where, Outcome, tuple[float, float]]] = {
         replace(
             KINDS["dosing"],
             about="Nobody gave the strongest doses, which harm more than simulated.",
-            draw=redrawn.both(
-                redrawn.between((0.3, 0.45), (0.15, 0.3)),
-                redrawn.between((1.0, 1.0), (1.0, 1.0)),
+            draw=both(
+                between((0.3, 0.45), (0.15, 0.3)),
+                between((1.0, 1.0), (1.0, 1.0)),
             ),
         ),
         lambda family, rng: pairs((60, 4), LEVEL >= 3, 3),
@@ -255,9 +256,9 @@ FAULTS: Mapping[str, tuple[Kind, Where, Outcome, tuple[float, float]]] = {
         replace(
             KINDS["admission"],
             about="Nobody admitted all jobs to a long queue, which then gets stuck.",
-            draw=redrawn.both(
-                redrawn.between((0.12, 0.18), (0.16, 0.22)),
-                redrawn.between((1.0, 1.0), (1.0, 1.0)),
+            draw=both(
+                between((0.12, 0.18), (0.16, 0.22)),
+                between((1.0, 1.0), (1.0, 1.0)),
             ),
         ),
         lambda family, rng: pairs((49, 3), LARGE_JOBS >= 2, 2),
@@ -272,6 +273,30 @@ def make_fault(name: str, rng: Generator) -> tuple[Family, Family]:
     kind, where, outcome, shares = FAULTS[name]
     drawn, _ = kind.make(rng)
     hidden = where(drawn, rng)
+    target = break_pairs(drawn, hidden, outcome, shares, rng)
+    recorded, near, far = avoid_pairs(drawn.simulator, hidden, rng)
+    policies = [
+        spend_time(target, policy, hidden, float(rng.uniform(*goal)))
+        for policy, goal in ((near, (0.03, 0.05)), (far, (0.05, 0.08)))
+    ]
+    one, other = (
+        replace(drawn, target=target, policy=policy, data_policy=recorded)
+        for policy in policies
+    )
+    return one, other
+
+
+def break_pairs(
+    drawn: Family,
+    hidden: BoolArray,
+    outcome: Outcome,
+    shares: tuple[float, float],
+    rng: Generator,
+) -> FiniteMDP:
+    """Make the target in which hidden pairs end badly in a share of their steps.
+
+    In half of the draws the other pairs are a little off as well.
+    """
     model = drawn.simulator
     matrix = model.transitions
     row = row_of_entry(matrix)
@@ -289,23 +314,19 @@ def make_fault(name: str, rng: Generator) -> tuple[Family, Family]:
     share = np.where(total > 0, rng.uniform(*shares), 0.0)
     base = np.where(hidden.reshape(-1)[row], matrix.data, p)
     faulty = (1 - share) * base + share * bad / np.where(total > 0, total, 1.0)
-    target = model.with_transitions(scale_rows(csr_on_pattern(matrix, faulty)))
+    return model.with_transitions(scale_rows(csr_on_pattern(matrix, faulty)))
+
+
+def avoid_pairs(
+    model: FiniteMDP, hidden: BoolArray, rng: Generator
+) -> tuple[Array, Array, Array]:
+    """Return a recorded, a near and a far policy that never take hidden pairs."""
     uniform = np.where(hidden, 0.0, uniform_policy(model))
     uniform /= uniform.sum(axis=1, keepdims=True)
     is_here = hidden.any(axis=1, keepdims=True)
     best = np.where(is_here, uniform, optimal_policy(model))
     recorded = mix(best, uniform, float(rng.uniform(0.2, 0.6)))
-    near = mix(best, recorded, 0.3)
-    far = mix(best, uniform, 0.95)
-    policies = [
-        spend_time(target, policy, hidden, float(rng.uniform(*goal)))
-        for policy, goal in ((near, (0.03, 0.05)), (far, (0.05, 0.08)))
-    ]
-    one, other = (
-        replace(drawn, target=target, policy=policy, data_policy=recorded)
-        for policy in policies
-    )
-    return one, other
+    return recorded, mix(best, recorded, 0.3), mix(best, uniform, 0.95)
 
 
 def spend_time(

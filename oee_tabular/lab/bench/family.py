@@ -1,36 +1,25 @@
 """Family of environment shift: a simulator and a target that differs from it.
 
-A family also has a policy, and says how the target is recorded. Below it is what
-families are made of: pairs of models that differ in the parameters of their
-transitions, and distributions.
+A family also has a policy, and says how the target is recorded.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
-from scipy import sparse, special, stats
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._results import checked
-from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy, optimal_policy, policy_value
+from oee_tabular.exact import occupancy, policy_value
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.mdp import (
-    FiniteMDP,
-    check_policy,
-    mix,
-    optional_horizon_length,
-    uniform_policy,
-)
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes
@@ -315,188 +304,6 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
             f" {target.rewards[s, a]:g} on average, with the simulator's rewards"
             f" {paid[s, a]:g} ({len(bad)} such state-action pairs in all)",
         )
-
-
-Moves = Iterable[tuple[Any, Any]]  # (probability, next state)
-Maker = Callable[..., Family]  # of a generator, or without parameters
-
-
-class PairOptions(TypedDict, total=False):
-    """Keywords of ``pair`` that makers of families pass on."""
-
-    optimal: float
-    recorded: float
-    length: int
-    policy: Array | None
-    horizon: int | None
-
-
-def pair(
-    about: str,
-    simulator: FiniteMDP,
-    target: Any,
-    *,
-    optimal: float = 0.9,
-    recorded: float = 0.5,
-    length: int = 200,
-    policy: Array | None = None,
-    horizon: int | None = None,
-) -> Family:
-    """Make a family whose policy is a mixture of the simulator's optimum and uniform.
-
-    Parameters
-    ----------
-    about : str
-        One sentence that says what the simulator has wrong.
-    simulator : FiniteMDP
-        The model that estimators are given.
-    target : FiniteMDP, or its transitions
-        Transitions alone get the simulator's rewards.
-    optimal : float, default 0.9
-        The share of the optimum in the policy.
-    recorded : float, default 0.5
-        The share of the policy in what records the target; the rest is uniform.
-    length : int, default 200
-        Number of steps after which a recorded episode is cut, without a horizon.
-    policy : ndarray of shape (S, A), optional
-        The policy in place of the mixture.
-    horizon : int, optional
-        Number of rewards of the value; None means the infinite discounted sum.
-    """
-    if not isinstance(target, FiniteMDP):
-        target = simulator.with_transitions(target)
-    uniform = uniform_policy(simulator)
-    if policy is None:
-        policy = mix(optimal_policy(simulator), uniform, optimal)
-    return Family(
-        simulator,
-        target,
-        policy,
-        mix(policy, uniform, recorded),
-        about,
-        horizon=horizon,
-        length=horizon or length,
-    )
-
-
-def shift(
-    about: str,
-    shape: tuple[int, ...],
-    rewards: Any,
-    discount: float,
-    believed: Any,
-    real: Any,
-    moves: Callable[..., Moves],
-    *,
-    start: Any = slice(None),
-    ends: Collection[int] = (),
-    **options: Unpack[PairOptions],
-) -> Maker:
-    """Return a maker of a family of two models that differ in some parameters.
-
-    Parameters
-    ----------
-    about : str
-        One sentence that says what the simulator has wrong.
-    shape : tuple of int
-        The numbers (S, A) of states and actions.
-    rewards : array or callable
-        As of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s') on
-        the support.
-    discount : float
-        The discount of both models.
-    believed, real : tuple, or callable for ``real``
-        The simulator's and the target's parameters; ``real`` may be a function that
-        draws them from a generator.
-    moves : callable
-        Function of the states s (S, 1, 1), the actions a (1, A, 1) and the parameters
-        that gives pairs (probability, next state), each broadcast to (S, A, K), K
-        possible next states at once. Equal ones are added up, and what lies beyond the
-        first or last state is that state.
-    start : index of states, optional
-        States in which episodes begin, with equal probability; all by default.
-    ends : collection of int, optional
-        Terminal states.
-    **options
-        As in ``pair``.
-    """
-    n_states, n_actions = shape
-    s, a = np.ogrid[:n_states, :n_actions, :1][:2]
-    is_over = np.isin(s, list(ends))
-    initial = np.zeros(n_states)
-    initial[start] = 1.0
-
-    def model(parameters: Any) -> FiniteMDP:
-        """Return the model with these parameters."""
-        parts = [
-            (is_over, s),
-            *((np.where(is_over, 0.0, p), to) for p, to in moves(s, a, *parameters)),
-        ]
-        entries = [
-            np.broadcast_arrays(p, np.clip(to, 0, n_states - 1), s * n_actions + a)
-            for p, to in parts
-        ]
-        data, columns, rows = (
-            np.concatenate(arrays, axis=2) for arrays in zip(*entries, strict=True)
-        )
-        present = data > 0
-        where = (rows[present], columns[present])
-        transitions = scale_rows(
-            sparse.csr_array((data[present], where), (n_states * n_actions, n_states))
-        )
-        paid = rewards
-        if callable(rewards):
-            values = rewards(
-                *np.divmod(row_of_entry(transitions), n_actions),
-                transitions.indices.astype(int),
-            )
-            paid = csr_on_pattern(transitions, np.asarray(values, dtype=np.float64))
-        return FiniteMDP(transitions, paid, normalize(initial), discount)
-
-    def build(parameters: Any) -> Family:
-        """Return the family of a target with these parameters."""
-        return pair(about, model(believed), model(parameters), **options)
-
-    if callable(real):
-        return lambda rng: build(real(rng))
-    return lambda: build(real)
-
-
-def scale_rows(matrix: sparse.csr_array) -> sparse.csr_array:
-    """Scale each row of a matrix to sum to 1."""
-    return csr_on_pattern(matrix, matrix.data / row_sums(matrix)[row_of_entry(matrix)])
-
-
-def normalize(table: Array) -> Array:
-    """Scale a table to sum to 1 along its last axis."""
-    return np.asarray(table / table.sum(axis=-1, keepdims=True))
-
-
-def poisson(mean: Any, largest: Any) -> Array:
-    """Return Pr(min(N, largest) = k) of a Poisson number N, k along the last axis."""
-    k = np.arange(np.max(largest) + 1)
-    return np.where(
-        k < largest,
-        stats.poisson.pmf(k, mean),
-        np.where(k == largest, stats.poisson.sf(k - 1, mean), 0.0),
-    )
-
-
-def binomial(n: Any, probability: Any) -> Array:
-    """Return Pr(N = k) of a binomial number N, k along the last axis."""
-    k = np.arange(np.max(n) + 1)
-    failures = np.maximum(n - k, 0)
-    law = special.comb(n, k) * probability**k * (1.0 - probability) ** failures
-    return np.where(k <= n, law, 0.0)
-
-
-def cross(one: Array, other: Array) -> Array:
-    """Return the joint distribution of two independent parts, along the last axis.
-
-    The second part varies faster.
-    """
-    joint = one[..., :, None] * other[..., None, :]
-    return joint.reshape(*joint.shape[:-2], -1)
 
 
 def check_seed(seed: Any) -> int:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import sparse
 
 from oee_tabular.continuous import (
     ContinuousTransitions,
@@ -341,30 +342,8 @@ def table1(settings: Cell, stream: Stream) -> list[Row]:
         defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state)
     )
     counts = defensive.counts(log if inside.all() else log.select(inside))
-    kept, uncovered = defensive.supported(counts)
-    kept_plain, uncovered_plain = plain.supported(counts)
-    zeta = transition_ratio(
-        kept, defensive.mdp, tie=defensive.displacement_ties(), strength=STRENGTH
-    )
-    tied_plain = transition_ratio(
-        kept_plain, plain.mdp, tie=plain.displacement_ties(), strength=STRENGTH
-    )
-    cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
-    models = {
-        OEE: (zeta.target_model(defensive.mdp), uncovered),
-        "OEE, tied, exact, plain simulator": (
-            tied_plain.target_model(plain.mdp),
-            uncovered_plain,
-        ),
-        "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
-        "model-based": (
-            plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)),
-            0.0,
-        ),
-    }
-    exact = {
-        name: goal_values(model) for name, (model, _) in models.items()
-    } | grid_values(target)
+    zeta, models = models_of(plain, defensive, counts)
+    exact = exact_values(models, target)
     rows: list[Row] = []
     for delta in POLICIES:
         truth, simulated = (known_values(name, delta) for name in (target, "simulator"))
@@ -386,21 +365,70 @@ def table1(settings: Cell, stream: Stream) -> list[Row]:
             RESIDUAL: simulate_values(corrected, delta),
             "PDIS": importance_sampling(recorded[data], delta),
         }
-        apart = abs(simulated.mean() - truth.mean())
         for name in ORDER:
-            value = values[name].mean()
-            row: Row = {
-                "policy": delta,
-                "estimator": name,
-                "value": value,
-                "error": value - truth.mean(),
-            }
-            row |= {
-                "removed": 1.0 - abs(value - truth.mean()) / apart,
-                "left_out": 1.0 - inside.mean(),
-            }
-            row |= {"uncovered": models[name][1] if name in models else 0.0}
             rows.append(
-                row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])}
+                {
+                    "policy": delta,
+                    "estimator": name,
+                    **compare(values[name], truth, simulated),
+                    "left_out": 1.0 - inside.mean(),
+                    "uncovered": models[name][1] if name in models else 0.0,
+                    **by_goal(values[name]),
+                }
             )
     return rows
+
+
+def models_of(
+    plain: Discretization, defensive: Discretization, counts: sparse.csr_array
+) -> tuple[TransitionRatio, dict[str, tuple[FiniteMDP, float]]]:
+    """Correct both simulators by a log's counts, tied or not, or take the counts alone.
+
+    The first result is the tied zeta of the defensive simulator; a model stands with
+    the share of the log's transitions that it does not support.
+    """
+    kept, uncovered = defensive.supported(counts)
+    kept_plain, uncovered_plain = plain.supported(counts)
+    zeta = transition_ratio(
+        kept, defensive.mdp, tie=defensive.displacement_ties(), strength=STRENGTH
+    )
+    tied_plain = transition_ratio(
+        kept_plain, plain.mdp, tie=plain.displacement_ties(), strength=STRENGTH
+    )
+    cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
+    return zeta, {
+        OEE: (zeta.target_model(defensive.mdp), uncovered),
+        "OEE, tied, exact, plain simulator": (
+            tied_plain.target_model(plain.mdp),
+            uncovered_plain,
+        ),
+        "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
+        "model-based": (
+            plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)),
+            0.0,
+        ),
+    }
+
+
+def exact_values(
+    models: dict[str, tuple[FiniteMDP, float]], target: str
+) -> dict[str, dict[float, Array]]:
+    """Compute the values of the goals without rollouts, as name -> delta -> values."""
+    found = {name: goal_values(model) for name, (model, _) in models.items()}
+    return found | grid_values(target)
+
+
+def by_goal(values: Array) -> Row:
+    """Return the values of the goals, each under its name."""
+    return {f"goal_{g}": float(value) for g, value in enumerate(values)}
+
+
+def compare(values: Array, truth: Array, simulated: Array) -> Row:
+    """Compare an estimate of the goals' values with the truth and the simulator's."""
+    value = values.mean()
+    apart = abs(simulated.mean() - truth.mean())
+    return {
+        "value": value,
+        "error": value - truth.mean(),
+        "removed": 1.0 - abs(value - truth.mean()) / apart,
+    }

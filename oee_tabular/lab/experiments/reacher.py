@@ -37,6 +37,7 @@ from oee_tabular.lab.experiments.common import (
     select_deltas,
 )
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import TransitionRatio
 from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array
 
@@ -139,13 +140,10 @@ def estimates(
         weights = fit_among(model, allowed, lengths)
         mixtures = {
             averaged: average,
-            weighted: (1.0 - DEFENSIVE_SHARE) * weights + DEFENSIVE_SHARE * average,
+            weighted: defend(weights, average),
         }
         if is_known:
-            first = np.eye(len(WIDER))[0]
-            mixtures[PLAIN] = (
-                1.0 - DEFENSIVE_SHARE
-            ) * first + DEFENSIVE_SHARE * average
+            mixtures[PLAIN] = defend(np.eye(len(WIDER))[0], average)
             found[AVERAGE] = values_of(model.mixture(average).mdp, policies)
         for name, shares in mixtures.items():
             simulator = model.mixture(shares).mdp
@@ -153,13 +151,7 @@ def estimates(
                 allowed, simulator, prior="simulator", strength=STRENGTH
             )
             found[name] = values_of(zeta.target_model(simulator), policies)
-            largest = float(zeta.values.data.max())
-            facts[name] = {
-                "uncovered": uncovered,
-                "largest_zeta": largest,
-                "d_inf": float(np.log(largest)),
-            }
-            facts[name]["visited"] = float(zeta.visited.mean())
+            facts[name] = {"uncovered": uncovered, **facts_of(zeta)}
             if is_known:
                 own = float(weights[WIDER.index(length)])
                 facts[name]["weight_of_true_length"] = own
@@ -175,6 +167,21 @@ def estimates(
     found[SIMULATOR] = above
     found[OWN_REWARD] = truth(SIMULATOR_LENGTH, SIMULATOR_LENGTH)
     return found, facts
+
+
+def defend(weights: Array, average: Array) -> Array:
+    """Mix the averaged lengths into the weights of a simulator."""
+    return np.asarray((1.0 - DEFENSIVE_SHARE) * weights + DEFENSIVE_SHARE * average)
+
+
+def facts_of(zeta: TransitionRatio) -> Row:
+    """Return how large a ratio is, and the share of pairs that it knows."""
+    largest = float(zeta.values.data.max())
+    return {
+        "largest_zeta": largest,
+        "d_inf": float(np.log(largest)),
+        "visited": float(zeta.visited.mean()),
+    }
 
 
 def fit_among(

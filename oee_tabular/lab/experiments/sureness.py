@@ -38,7 +38,7 @@ from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.plots import plot_intervals
 from oee_tabular.report import contest
 from oee_tabular.tasks import gridworld_policy
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, IntArray
 
 POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
 
@@ -120,8 +120,7 @@ def efficiency(settings: Cell, stream: Stream) -> list[Row]:
         ).reshape(logs, *rows.shape)
         for rows in (p, q)
     )
-    quotient = np.divide(ours, theirs, out=np.zeros(ours.shape), where=theirs > 0)
-    kernel = quotient * (theirs.sum(axis=3) / ours.sum(axis=3))[..., None] * q
+    kernel = quotient_of_ratios(ours, theirs) * q
     arguments = (simulator, target, POLICY, share, share)
     normalised = ratio_of_ratios_variance(*arguments, rows="normalised")
     cases: dict[str, tuple[float, Array]] = {
@@ -137,9 +136,7 @@ def efficiency(settings: Cell, stream: Stream) -> list[Row]:
     }
     rows = []
     for name, (bound, chances) in cases.items():
-        system = np.eye(25) - 0.95 * np.einsum("sa,nsat->nst", POLICY, chances)
-        rewards = np.einsum("sa,nsat,sat->ns", POLICY, chances, reward)
-        values = np.linalg.solve(system, rewards[..., None])[..., 0] @ target.initial
+        values = values_of_models(chances, reward, target.initial)
         variance = float(n * values.var(ddof=1))
         rows.append(
             {
@@ -150,6 +147,19 @@ def efficiency(settings: Cell, stream: Stream) -> list[Row]:
             }
         )
     return rows
+
+
+def quotient_of_ratios(ours: IntArray, theirs: IntArray) -> Array:
+    """Return zeta as the quotient of two ratios of counts, 0 where it is 0 / 0."""
+    quotient = np.divide(ours, theirs, out=np.zeros(ours.shape), where=theirs > 0)
+    return np.asarray(quotient * (theirs.sum(axis=3) / ours.sum(axis=3))[..., None])
+
+
+def values_of_models(chances: Array, reward: Array, initial: Array) -> Array:
+    """Compute the policy's values in models (n, 25, 4, 25) with rewards r(s, a, s')."""
+    system = np.eye(25) - 0.95 * np.einsum("sa,nsat->nst", POLICY, chances)
+    rewards = np.einsum("sa,nsat,sat->ns", POLICY, chances, reward)
+    return np.asarray(np.linalg.solve(system, rewards[..., None])[..., 0] @ initial)
 
 
 RESTART = 0.05

@@ -40,7 +40,8 @@ from oee_tabular.exact import occupancy, policy_value, reweight
 from oee_tabular.inference import profile_ascent
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import extreme_value
-from oee_tabular.lab.bench import facts_of, families_redrawn, families_unrecorded
+from oee_tabular.lab.bench import families_redrawn, families_unrecorded
+from oee_tabular.lab.bench.cell import facts_of
 from oee_tabular.lab.bench.family import Family
 from oee_tabular.lab.experiment import (
     Cell,
