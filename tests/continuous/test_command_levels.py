@@ -143,7 +143,7 @@ def test_coarse_levels_are_made_finer():
     row = report.table.iloc[0]
     assert row.lower - 0.1 <= -20 * 0.25 <= row.upper + 0.1
     said = " ".join(report.warnings)
-    assert "given by the task's 3 actions, which changes its value" in said
+    assert "to the task's 3 actions changes its value in the simulator by" in said
     assert "actions are taken" in said
 
 

@@ -86,10 +86,9 @@ class Rounding:
     def describe(self, name: str, scale: float) -> str:
         """Describe the error; ``scale`` multiplies values."""
         return (
-            f"The commands of “{name}” are given by the task's {self.n_actions} actions,"
-            f" which changes its value in the simulator by about"
-            f" {-self.error * scale:.2g} (standard error"
-            f" {self.standard_error * scale:.1g})"
+            f"Rounding the commands of “{name}” to the task's {self.n_actions} actions"
+            f" changes its value in the simulator by about {-self.error * scale:.2g}"
+            f" (standard error {self.standard_error * scale:.1g})"
         )
 
 
