@@ -85,6 +85,25 @@ def report_step(step: str) -> None:
             announce_compiling(tell)
 
 
+class Pace:
+    """Steps of about equal length, told with an estimate of the time that is left."""
+
+    def __init__(self, n_steps: int) -> None:
+        self._n_steps = n_steps
+        self._n_done = 0
+        self._started = time.monotonic()
+
+    def report(self, step: str) -> None:
+        """Report the next step."""
+        left = ""
+        if self._n_done:
+            each = (time.monotonic() - self._started) / self._n_done
+            seconds = each * (self._n_steps - self._n_done)
+            left = f", about {seconds:.0f} s left"
+        self._n_done += 1
+        report_step(f"{step} ({self._n_done} of {self._n_steps}{left})")
+
+
 def report_finished(line: str) -> None:
     """Keep a line on what is finished; an interrupted command prints these lines."""
     if _step is not None:

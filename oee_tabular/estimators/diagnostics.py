@@ -252,6 +252,12 @@ class Diagnostics(dict[str, Any]):
     n_episodes = Diagnostic(int, "count", "The number of the log's episodes.")
     n_rollouts = Diagnostic(int, "count", "The number of simulated episodes.")
     refits = Diagnostic(int, "count", "The number of refits to resampled logs.")
+    rounding_error = Diagnostic(
+        float,
+        "value",
+        "By how much the value is larger where commands are not rounded, in the"
+        " simulator; the interval includes it.",
+    )
     beyond_log = Diagnostic(
         float,
         "share",

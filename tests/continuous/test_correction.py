@@ -2,6 +2,7 @@
 are refused, other units.
 """
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -357,7 +358,8 @@ def test_history_may_be_given(monkeypatch):
         "simulator (continuous)",
     ]
     assert "correction with 2 earlier actions in the state" in steps
-    assert "oee (residual, last 2 actions) of “p”" in steps
+    assert "oee (residual, last 2 actions) of “p” (1 of 3)" in steps
+    assert re.search(r"^oee .residual. of “p” .2 of 3, about \d+ s left.$", steps[-2])
     assert names[0] == ["simulator (continuous)", "oee (residual)"]
     # too short
     assert names[1] == [

@@ -109,13 +109,9 @@ def history_effects(
         unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
         scaled = residuals / np.where(unit > 0, unit, 1.0)
         y = np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None]
-        blocks: dict[Block, Array] = {}
-        for k, block in enumerate(acted, start=1):
-            blocks[k, "action"] = block[is_used]
-        if has_residuals:
-            padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
-            for k, back in enumerate(earlier[used].T, start=1):
-                blocks[k, "residual"] = padded[back]
+        blocks = _stack_blocks(
+            [block[is_used] for block in acted], y, earlier[used], has_residuals
+        )
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
         present = np.column_stack([codes[used], near])
         size = unit * np.sqrt((y[used] ** 2).mean(axis=0))
@@ -125,6 +121,20 @@ def history_effects(
             for old, new in zip(best, found, strict=True)
         ]
     return best
+
+
+def _stack_blocks(
+    acted: list[Array], y: Array, earlier: IntArray, has_residuals: bool
+) -> dict[Block, Array]:
+    """Return what each earlier step may explain by: its action, and its residual."""
+    blocks: dict[Block, Array] = {}
+    for k, block in enumerate(acted, start=1):
+        blocks[k, "action"] = block
+    if has_residuals:
+        padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
+        for k, back in enumerate(earlier.T, start=1):
+            blocks[k, "residual"] = padded[back]
+    return blocks
 
 
 def _actions_then(

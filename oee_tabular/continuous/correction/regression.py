@@ -191,22 +191,18 @@ class Functions:
         self._second = np.concatenate([linear, second + 1])
         self.width = q + n_waves
         of_x = 1 + m + np.flatnonzero(second < n_x)
-        classes = {
-            "zero": linear[:0],
-            "mean": linear[:1],
-            "linear": linear[: 1 + n_x],
-            "displacement": np.delete(linear, np.arange(1, 1 + n_x)),
-            "linear, displacement": linear,
-            "quadratic": np.concatenate([linear[: 1 + n_x], of_x]),
-            "quadratic, displacement": np.arange(q),
-            "Fourier": np.arange(self.width),
-        }
-        self.nested: dict[str, IntArray] = {}
-        for name, columns in classes.items():
-            # without displacements or products some classes are the same
-            same = [np.array_equal(columns, other) for other in self.nested.values()]
-            if not any(same):
-                self.nested[name] = columns
+        self.nested: dict[str, IntArray] = _drop_equal(
+            {
+                "zero": linear[:0],
+                "mean": linear[:1],
+                "linear": linear[: 1 + n_x],
+                "displacement": np.delete(linear, np.arange(1, 1 + n_x)),
+                "linear, displacement": linear,
+                "quadratic": np.concatenate([linear[: 1 + n_x], of_x]),
+                "quadratic, displacement": np.arange(q),
+                "Fourier": np.arange(self.width),
+            }
+        )
 
     def __call__(self, states: Array, actions: IntArray, displacement: Array) -> Array:
         """Compute every column, (n, width)."""
@@ -251,6 +247,18 @@ class Functions:
         return np.asarray(
             _predict(*rows, self._kept, self._limits, *functions, *waves, w, ends)
         )
+
+
+def _drop_equal(classes: dict[str, IntArray]) -> dict[str, IntArray]:
+    """Return classes of functions by their columns, of equal ones the first.
+
+    Without displacements or products some are the same.
+    """
+    different: dict[str, IntArray] = {}
+    for name, columns in classes.items():
+        if not any(np.array_equal(columns, other) for other in different.values()):
+            different[name] = columns
+    return different
 
 
 @dataclass(frozen=True)
@@ -384,15 +392,7 @@ class Grams:
         for k in range(self.k):
             errors = every[:, :, k]
             whole = self.g[:, :, self.p + k, self.p + k].sum()
-            excess = errors - errors[errors.sum(axis=1).argmin()]
-            tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL_SHARE * whole
-            best = int(np.argmax(excess.sum(axis=1) <= tolerance))
-            gain = errors[0] - errors[best]  # the first is g = 0
-            error = float(np.sqrt(n_groups) * gain.std())
-            if error > 0:
-                t = float(gain.sum()) / error
-            else:
-                t = np.inf if gain.sum() > 0 else 0.0
+            best, t = _choose_simplest(errors, EQUAL_SHARE * whole)
             name, per_action, ridge, _ = tried[best]
             fit = Fit(
                 kind=name,
@@ -472,3 +472,21 @@ def draw_groups(n_groups: int, seed: Seed) -> Array:
     """Draw groups with replacement and return how often each is drawn, (n_groups,)."""
     drawn = _checks.generator(seed).integers(n_groups, size=n_groups)
     return np.bincount(drawn, minlength=n_groups).astype(np.float64)
+
+
+def _choose_simplest(errors: Array, equal: float) -> tuple[int, float]:
+    """Return the first candidate within a standard error of the best, and its t.
+
+    ``errors`` (candidates, groups) are sums of squares, those of g = 0 first. Candidates
+    whose errors differ by at most ``equal`` are as good. t is by how many standard
+    errors, over groups, the chosen one is better than g = 0.
+    """
+    root = np.sqrt(errors.shape[1])
+    excess = errors - errors[errors.sum(axis=1).argmin()]
+    tolerance = root * excess.std(axis=1) + equal
+    best = int(np.argmax(excess.sum(axis=1) <= tolerance))
+    gain = errors[0] - errors[best]
+    error = float(root * gain.std())
+    if error > 0:
+        return best, float(gain.sum()) / error
+    return best, np.inf if gain.sum() > 0 else 0.0

@@ -191,21 +191,11 @@ class GridInterpolation:
                 f"must have {k} numbers, one for each feature of {task.name}"
                 f" ({', '.join(task.feature_names)}); it is {self.shape}",
             )
-        given_low = task.feature_low if self.low is None else self.low
-        given_high = task.feature_high if self.high is None else self.high
-        low = _checks.float_array(given_low, "low")
-        high = _checks.float_array(given_high, "high")
-        for name, end in (("low", low), ("high", high)):
-            if end.shape != (k,):
-                raise ArgumentError(
-                    name, f"must have shape ({k},); it has shape {end.shape}"
-                )
-            _checks.require_finite(end, name)
-        for axis in np.flatnonzero(low >= high):
-            raise ArgumentError(
-                f"high[{axis}]",
-                f"must be above low[{axis}], {low[axis]}; it is {high[axis]}",
-            )
+        low, high = _check_ends(
+            task.feature_low if self.low is None else self.low,
+            task.feature_high if self.high is None else self.high,
+            k,
+        )
         grid = Grid(low, high, self.shape, task.periodic)
         points = task.embed(grid.vertices())
         cell = np.arange(grid.n_cells)
@@ -578,16 +568,7 @@ def discretize(
                 f"must be 0 without a log, for {task.name} has no others; it is"
                 f" {floor}",
             )
-    chosen: Any = _choose_cells(process) if cells is None else cells
-    if isinstance(chosen, bool):
-        raise ArgumentError("cells", f"must be a number or a grid; got {chosen}")
-    if _checks.is_integer(chosen):
-        chosen = VisitedCells(int(chosen))
-    elif not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
-        try:
-            chosen = GridInterpolation(chosen)
-        except ArgumentError as error:
-            raise ArgumentError("cells", error.rule) from None
+    chosen = _check_cells(_choose_cells(process) if cells is None else cells)
     if isinstance(chosen, Discretization):
         places = chosen.places
     else:
@@ -628,6 +609,39 @@ def discretize(
     with warnings.catch_warnings(action="ignore"):
         counts = model.counts(log, outside="nearest")
     return replace(model, mdp=model.plain.with_support_of(counts, share))
+
+
+def _check_ends(low: object, high: object, k: int) -> tuple[Array, Array]:
+    """Return the least and the largest features (k,) of a grid, the former below."""
+    ends = {"low": _checks.float_array(low, "low")}
+    ends["high"] = _checks.float_array(high, "high")
+    for name, end in ends.items():
+        if end.shape != (k,):
+            raise ArgumentError(
+                name, f"must have shape ({k},); it has shape {end.shape}"
+            )
+        _checks.require_finite(end, name)
+    for axis in np.flatnonzero(ends["low"] >= ends["high"]):
+        raise ArgumentError(
+            f"high[{axis}]",
+            f"must be above low[{axis}], {ends['low'][axis]}; it is"
+            f" {ends['high'][axis]}",
+        )
+    return ends["low"], ends["high"]
+
+
+def _check_cells(cells: Any) -> Discretization | GridInterpolation | VisitedCells:
+    """Return cells as what makes them: a number, a grid's shape, or such a thing."""
+    if isinstance(cells, bool):
+        raise ArgumentError("cells", f"must be a number or a grid; got {cells}")
+    if _checks.is_integer(cells):
+        return VisitedCells(int(cells))
+    if isinstance(cells, Discretization | GridInterpolation | VisitedCells):
+        return cells
+    try:
+        return GridInterpolation(cells)
+    except ArgumentError as error:
+        raise ArgumentError("cells", error.rule) from None
 
 
 def _choose_cells(task: ContinuousTask) -> CellsLike:

@@ -281,9 +281,10 @@ def _report_rows(
     _checks.boolean(quick, "quick")
     scale = 1.0 - discount if normalized else 1.0
     results = []
+    pace = _progress.Pace(len(policies) * len(rows))
     for name, policy in policies.items():
         for label, row in rows.items():
-            _progress.report_step(f"{label} of “{name}”")
+            pace.report(f"{label} of “{name}”")
             estimate = choose_interval(row(policy), None, level, scale)
             results.append(Result(name, label, estimate))
             _progress.report_finished(f"{label} of “{name}”: {estimate}")

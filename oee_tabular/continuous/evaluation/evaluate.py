@@ -7,7 +7,9 @@ What the cells cannot take is said, and the other rows stand.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from oee_tabular import _checks, _progress
@@ -30,12 +32,21 @@ from oee_tabular.continuous.evaluation.assemble import (
     assemble_on_cells,
     assemble_rows,
 )
-from oee_tabular.continuous.evaluation.prepare import prepare
+from oee_tabular.continuous.evaluation.command_levels import (
+    MAX_REFINEMENTS,
+    MOST,
+    Rounding,
+    describe_rounding,
+    make_finer_often,
+    measure_roundings,
+)
+from oee_tabular.continuous.evaluation.prepare import Prepared, prepare
 from oee_tabular.continuous.evaluation.rollouts import (
     Rollouts,
 )
-from oee_tabular.continuous.evaluation.rows import choose_rows, split_sampling
+from oee_tabular.continuous.evaluation.rows import Rows, choose_rows, split_sampling
 from oee_tabular.continuous.evaluation.simulator import (
+    Calibration,
     ContinuousSimulator,
     Settings,
     as_simulator,
@@ -209,6 +220,85 @@ def evaluate_continuous(
     >>> [row["estimator"] for row in report.records()]
     ['oee (residual)', 'simulator (continuous)']
     """
+    _checks.boolean(normalized, "normalized")
+    request = _check_request(
+        simulator,
+        settings,
+        behavior=behavior,
+        target=target,
+        history=history,
+        fit=fit,
+        estimators=estimators,
+        horizon=horizon,
+        discount=discount,
+        seed=seed,
+        scale=1.0 - discount if normalized else 1.0,
+    )
+    if not _checks.instance(
+        policies, Mapping, "policies", "mapping from names to policies"
+    ):
+        raise ArgumentError("policies", "must hold at least one; it is empty")
+    layout = Layout(
+        confidence,
+        normalized,
+        _checks.boolean(guaranteed, "guaranteed"),
+        _checks.boolean(quick, "quick"),
+        request.calibration,
+        conform({} if facts is None else facts, "facts", Mapping[str, Any]),
+    )
+    premises = Premises(lower_ratio, upper_ratio, tie, features)
+    found = _compute(request, log, policies)
+    said: list[str] = []
+    for _ in range(MAX_REFINEMENTS):
+        finer = found.refine()
+        if finer is None:
+            break
+        said += found.describe_refinement(len(finer.simulator.task.actions))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said before
+            found = _compute(finer, found.log_of_commands(), policies)
+    sentences = describe_whole(
+        found.correction,
+        (*found.left_out, *found.prepared.messages, *said, *found.describe_roundings()),
+        is_auto=isinstance(history, str),
+    )
+    cells = found.prepared.cells
+    if cells is None:
+        return assemble_rows(found.prepared, found.rows, sentences, premises, layout)
+    return assemble_on_cells(
+        found.prepared, cells, found.rows, found.finite, sentences, premises, layout
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """What is asked for, checked."""
+
+    simulator: ContinuousSimulator
+    settings: Settings
+    behavior: StatePolicy | None
+    target: ContinuousTask | None
+    history: int | Literal["auto"]
+    fit: Sequence[str] | ParameterFit | None
+    names: list[str] | None
+    calibration: Calibration
+    horizon: int
+    discount: float
+    seed: SeedNumbers
+    scale: float
+
+
+def _check_request(
+    simulator: ContinuousSimulator | ContinuousTask,
+    settings: Settings | None,
+    *,
+    horizon: int | None,
+    target: ContinuousTask | None,
+    estimators: Sequence[str] | None,
+    fit: Sequence[str] | ParameterFit | None,
+    **given: Any,
+) -> _Request:
+    """Check what is asked for."""
     chosen = _checks.instance(
         Settings() if settings is None else settings, Settings, "settings"
     )
@@ -220,20 +310,8 @@ def evaluate_continuous(
         "simulator",
         "ContinuousTask or a ContinuousSimulator",
     )
-    if not _checks.instance(
-        policies, Mapping, "policies", "mapping from names to policies"
-    ):
-        raise ArgumentError("policies", "must hold at least one; it is empty")
-    _checks.boolean(normalized, "normalized")
-    _checks.boolean(guaranteed, "guaranteed")
-    _checks.boolean(quick, "quick")
-    own_facts = dict(
-        conform({} if facts is None else facts, "facts", Mapping[str, Any])
-    )
-    _checks.instance(
-        simulator.task if target is None else target, ContinuousTask, "target"
-    )
-    names = None if estimators is None else _names(estimators, "estimators")
+    if target is not None:
+        _checks.instance(target, ContinuousTask, "target")
     if fit is not None and not isinstance(fit, ParameterFit):
         fit = _names(fit, "fit")
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
@@ -241,33 +319,59 @@ def evaluate_continuous(
     steps = simulator.horizon
     if horizon is not None:
         steps = _checks.positive_integer(horizon, "horizon")
+    return _Request(
+        simulator,
+        chosen,
+        target=target,
+        fit=fit,
+        names=None if estimators is None else _names(estimators, "estimators"),
+        calibration=kind,
+        horizon=steps,
+        **given,
+    )
+
+
+def _compute(
+    request: _Request,
+    log: ContinuousTransitions,
+    policies: Mapping[str, StatePolicy | Array],
+) -> _Found:
+    """Take the steps before the report: prepare, correct, choose the rows."""
+    simulator = request.simulator
     prepared = prepare(
         simulator,
         log,
         policies,
-        chosen,
-        behavior=behavior,
-        horizon=steps,
-        discount=discount,
-        seed=seed,
+        request.settings,
+        behavior=request.behavior,
+        horizon=request.horizon,
+        discount=request.discount,
+        seed=request.seed,
     )
+    fit = request.fit
     if fit is not None and not isinstance(fit, ParameterFit):
         fit = fit_parameters(*parameters_of(simulator.task, fit), prepared.log)
     correction = choose_correction(
-        simulator.task, prepared.log, history=history, fit=fit, seed=seed
+        simulator.task,
+        prepared.log,
+        history=request.history,
+        fit=fit,
+        seed=request.seed,
     )
-    cells = prepared.cells
     wanted, left_out = _choose_estimators(
-        names, prepared.log, has_cells=cells is not None
+        request.names, prepared.log, has_cells=prepared.cells is not None
     )
     sampling, finite = split_sampling(wanted)
     rollouts = Rollouts(
-        steps,
-        discount,
+        request.horizon,
+        request.discount,
         prepared.episodes,
-        _checks.seed_sequence(seed, (10**6,)),
+        _checks.seed_sequence(request.seed, (10**6,)),
         simulator.refits,
         simulator.refit_paths,
+    )
+    roundings, finer = measure_roundings(
+        simulator.task, prepared.log, prepared.policies, rollouts
     )
     rows = choose_rows(
         prepared,
@@ -275,18 +379,117 @@ def evaluate_continuous(
         rollouts,
         sampling,
         wants_oee=OffEnvironment() in wanted.values(),
-        wants_linear=names is None,
-        target=target,
-        scale=1.0 - discount if normalized else 1.0,
+        wants_linear=request.names is None,
+        target=request.target,
+        scale=request.scale,
+        roundings=roundings,
     )
-    sentences = describe_whole(
-        correction, (*left_out, *prepared.messages), is_auto=isinstance(history, str)
+    return _Found(
+        request, prepared, correction, rows, finite, left_out, roundings, finer
     )
-    premises = Premises(lower_ratio, upper_ratio, tie, features)
-    layout = Layout(confidence, normalized, guaranteed, quick, kind, own_facts)
-    if cells is None:
-        return assemble_rows(prepared, rows, sentences, premises, layout)
-    return assemble_on_cells(prepared, cells, rows, finite, sentences, premises, layout)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What a report is made of."""
+
+    request: _Request
+    prepared: Prepared
+    correction: Correction
+    rows: Rows
+    finite: Mapping[str, Estimator]
+    left_out: list[str]
+    roundings: Mapping[StatePolicy, Rounding]
+    finer: ContinuousTask | None
+
+    def refine(self) -> _Request | None:
+        """Return the request with finer actions, if a value needs and all can have them.
+
+        What is given by the numbers of the actions cannot.
+        """
+        request, prepared = self.request, self.prepared
+        by_number = (
+            prepared.cells,
+            request.behavior,
+            prepared.log.behavior_probability,
+            request.fit if isinstance(request.fit, ParameterFit) else None,
+        )
+        if (
+            self.finer is None
+            or any(each is not None for each in by_number)
+            or len(self.roundings) < len(prepared.policies)
+        ):
+            return None
+        n_times = max((self._excess(name) for name in self._coarse()), default=0)
+        if n_times == 0:
+            return None
+        task = make_finer_often(request.simulator.task, prepared.log, n_times)
+        target = request.target
+        if target is not None:
+            target = make_finer_often(target, prepared.log, n_times)
+            if len(target.actions) != len(task.actions):
+                return None
+        simulator = replace(request.simulator, task=task, expert=None)
+        return replace(request, simulator=simulator, target=target)
+
+    def _excess(self, name: str) -> int:
+        """Return how often the levels must be doubled for a policy."""
+        estimate = self.rows.first[0].estimate(self.prepared.policies[name])
+        if estimate.interval is None:
+            return 0
+        lower, upper = estimate.interval
+        rounding = self._rounding(name)
+        own = upper - lower - MOST * abs(rounding.error)
+        return rounding.count_refinements(own / 2.0)
+
+    def _coarse(self) -> list[str]:
+        """Return the policies whose rounding is too large for the value in front."""
+        if not self.rows.has_oee or not self.correction.is_trusted:
+            return []
+        row = self.rows.first[0]
+        return [
+            name
+            for name, policy in self.prepared.policies.items()
+            if "rounding_error" in row.estimate(policy).diagnostics
+        ]
+
+    def describe_refinement(self, n_actions: int) -> list[str]:
+        """Say for which policies finer actions are taken."""
+        return [
+            f"{self._rounding(name).describe(name, self.request.scale)}. That is more"
+            f" than a tenth of its interval, so {n_actions} actions are taken."
+            for name in self._coarse()
+        ]
+
+    def _rounding(self, name: str) -> Rounding:
+        """Return what rounding does to a policy's value."""
+        return self.roundings[self.prepared.policies[name]]
+
+    def describe_roundings(self) -> list[str]:
+        """Say what rounding does to each policy."""
+        coarse = self._coarse()
+        found = []
+        for name, policy in self.prepared.policies.items():
+            text = describe_rounding(
+                name,
+                policy,
+                self.prepared.given_log,
+                self.roundings,
+                self.request.scale,
+            )
+            if name in coarse:
+                text += " The intervals include that."
+            if text:
+                found.append(text)
+        return found
+
+    def log_of_commands(self) -> ContinuousTransitions:
+        """Return the log as it was given, with commands in place of numbers."""
+        log = self.prepared.given_log
+        if log.action.ndim > 1:
+            return log
+        commands = self.prepared.simulator.task.actions[self.prepared.log.action]
+        return ContinuousTransitions(**log.columns() | {"action": commands})
 
 
 def describe_whole(

@@ -122,20 +122,7 @@ class OnCells:
         bag = Transitions(**columns)
         kept, share = model.supported(counts)
         if kept.nnz == 0 or (share > MAX_SHARE_LEFT_OUT and settings.outside != "drop"):
-            ways = [
-                "a coarser grid (--grid NxM)",
-                "without those transitions (--task-option outside=drop)",
-            ]
-            more = ""
-            if floor > 0.0:
-                more = f", with a defensive share of {floor:g}"
-            else:
-                ways.insert(0, "a defensive share (--task-option floor=0.001)")
-            raise NoCellsError(
-                f"the log must stay where the simulator has probability: {share:.2g} of"
-                f" its transitions have none on {where}{more}, and no ratio exists"
-                f" there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
-            )
+            raise NoCellsError(_describe_unsupported(share, where, floor))
         if share > 0.0:
             lost = row_sums(counts) - row_sums(kept)
             most = int(lost.argmax()) // model.task.n_actions
@@ -153,9 +140,8 @@ class OnCells:
         tie = model.displacement_ties() if is_tied else None
         self._zeta = transition_ratio(kept, model.mdp, tie=tie, **simulator.ratio)
         largest = float(self._zeta.values.data.max())
-        uncovered = uncovered_share(kept, model.plain)
         self._support = {
-            "uncovered_mass": uncovered,
+            "uncovered_mass": uncovered_share(kept, model.plain),
             "largest_zeta": largest,
             "d_inf": float(np.log(largest)),
         }
@@ -176,14 +162,21 @@ class OnCells:
             "closure_error": model.diagnostics["closure_error"],
             **self._support,
         }
-        rewards = [model.mdp.rewards.min(), model.mdp.rewards.max()]
+        self._bounds = self._find_bounds(log, horizon, discount)
+
+    def _find_bounds(
+        self, log: ContinuousTransitions, horizon: int, discount: float
+    ) -> tuple[float, float]:
+        """Return what the rewards of the cells and of the log can sum to."""
+        mdp = self.model.mdp
+        rewards = [mdp.rewards.min(), mdp.rewards.max()]
         if log.reward is not None:
             rewards += [log.reward.min(), log.reward.max()]
         # after an end all rewards are 0
-        if log.terminated.any() or model.mdp.absorbing().any():
+        if log.terminated.any() or mdp.absorbing().any():
             rewards.append(0.0)
         number = float(np.sum(discount ** np.arange(horizon)))
-        self._bounds = float(min(rewards)) * number, float(max(rewards)) * number
+        return float(min(rewards)) * number, float(max(rewards)) * number
 
     def _describe(self, name: str) -> str:
         """Describe the simulator on cells in one line of a report."""
@@ -357,4 +350,22 @@ def calibrated_row(
         is_from_log=True,
         is_from_episodes=False,
         is_headline=False,
+    )
+
+
+def _describe_unsupported(share: float, where: str, floor: float) -> str:
+    """Describe a log of which too much is impossible on the cells, and ways out."""
+    ways = [
+        "a coarser grid (--grid NxM)",
+        "without those transitions (--task-option outside=drop)",
+    ]
+    more = ""
+    if floor > 0.0:
+        more = f", with a defensive share of {floor:g}"
+    else:
+        ways.insert(0, "a defensive share (--task-option floor=0.001)")
+    return (
+        f"the log must stay where the simulator has probability: {share:.2g} of its"
+        f" transitions have none on {where}{more}, and no ratio exists there. Ways out:"
+        f" {', '.join(ways[:-1])}, or {ways[-1]}"
     )

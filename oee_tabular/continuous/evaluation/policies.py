@@ -80,6 +80,10 @@ class CommandPolicy:
         distance = float(np.sqrt(max(0.0, squares.mean())))
         return distance, float((commands != inside).any(axis=1).mean())
 
+    def gives_commands(self, states: Array) -> bool:
+        """Return whether the policy gives commands, and no probabilities or numbers."""
+        return self._play(states)[1] is not None
+
     def _play(self, states: Array) -> tuple[Array, Array | None]:
         """Return probabilities, and the commands (n, k) where the policy gave such."""
         found = np.asarray(ask_policy(self.policy, states))

@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.continuous.evaluation.on_cells import OnCells
-from oee_tabular.continuous.evaluation.policies import CommandPolicy, as_probabilities
+from oee_tabular.continuous.evaluation.policies import as_probabilities
 from oee_tabular.continuous.evaluation.simulator import ContinuousSimulator, Settings
 from oee_tabular.continuous.log.numbering import number_log
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
@@ -22,10 +22,6 @@ from oee_tabular.exceptions import (
     NoCellsError,
 )
 from oee_tabular.typing import Array, SeedNumbers
-
-# A policy's commands are compared with those that are played in so many of the log's
-# states.
-MAX_POLICY_STATES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +112,7 @@ def prepare(
     functions: dict[str, StatePolicy] = {}
     for name, policy in policies.items():
         if callable(policy):
-            rounded = as_probabilities(policy, simulator.task.actions)
-            functions[name] = rounded
-            rounding = _describe_rounding(name, rounded, log.state[:MAX_POLICY_STATES])
-            if rounding:
-                messages.append(rounding)
+            functions[name] = as_probabilities(policy, simulator.task.actions)
         elif cells is None:
             raise ArgumentError(
                 f"policy {name!r}",
@@ -145,23 +137,6 @@ def prepare(
         cells,
         tables,
         tuple(messages),
-    )
-
-
-def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
-    """Describe how far the task's commands are from those of a policy.
-
-    Returns "" where they are the same.
-    """
-    distance, beyond = policy.rounding(states)
-    if distance == beyond == 0.0:
-        return ""
-    cut = ""
-    if beyond > 0.0:
-        cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it."
-    return (
-        f"The commands of “{name}” are rounded to the task's {len(policy.actions)}"
-        f" commands, by {distance:.2g} (root mean square in the log's states).{cut}"
     )
 
 

@@ -102,6 +102,19 @@ class Rollouts:
             tasks, policy, n, self.horizon, discount=self.discount, seed=seed
         )
 
+    def compare(
+        self, tasks: Sequence[ContinuousTask], policies: Sequence[StatePolicy]
+    ) -> Array:
+        """Sample returns of tasks under policies of their own, with common chance."""
+        return compare_returns(
+            tasks,
+            policies,
+            min(self.paths, self.episodes),
+            self.horizon,
+            discount=self.discount,
+            seed=self._stream(4),
+        )
+
     def estimate(
         self,
         learned: ResidualSimulator | LinearModel,

@@ -14,6 +14,10 @@ from oee_tabular.continuous.correction.choice import Correction
 from oee_tabular.continuous.correction.linear_model import LinearModel
 from oee_tabular.continuous.correction.residual import ResidualSimulator
 from oee_tabular.continuous.correction.sentences import describe_flaw
+from oee_tabular.continuous.evaluation.command_levels import (
+    Rounding,
+    include_rounding,
+)
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import (
     Rollouts,
@@ -95,6 +99,7 @@ def choose_rows(
     wants_linear: bool,
     target: ContinuousTask | None,
     scale: float,
+    roundings: Mapping[StatePolicy, Rounding],
 ) -> Rows:
     """Return the rows of a report.
 
@@ -117,6 +122,8 @@ def choose_rows(
         The true target.
     scale : float
         By what values are multiplied in sentences.
+    roundings : mapping from function to Rounding
+        What giving commands by the task's actions does to the value of policies.
 
     Returns
     -------
@@ -151,6 +158,7 @@ def choose_rows(
         if learned is correction.learned:
             of_states = correction.policy(policy)
         estimate = rollouts.estimate(learned, of_states, status)
+        estimate = include_rounding(estimate, roundings.get(policy))
         return refuse_impossible(estimate, *bounds(policy), rollouts.horizon, scale)
 
     def simulated_row(policy: StatePolicy) -> Estimate:
@@ -159,6 +167,7 @@ def choose_rows(
             simulate(policy), is_headline=not correction.is_trusted
         )
 
+    @cache
     def corrected_row(policy: StatePolicy) -> Estimate:
         """Estimate a value in the corrected simulator."""
         return learned_row(correction.learned, correction.status, policy)

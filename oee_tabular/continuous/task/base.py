@@ -12,10 +12,11 @@ vectorised over states: (n, d) in, (n, d) out.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 from scipy.special import ndtr
@@ -422,6 +423,24 @@ class ContinuousTask(ABC):
     def n_actions(self) -> int:
         """Return the number A of actions."""
         return len(self.actions)
+
+    def with_actions(self, actions: Array) -> Self:
+        """Return the task with other actions in place of its own.
+
+        Parameters
+        ----------
+        actions : ndarray of shape (A,) or (A, k)
+            The actions.
+
+        Returns
+        -------
+        ContinuousTask
+            A copy. It steps the actions only if ``moves`` reads them from
+            ``self.actions``.
+        """
+        other = copy.copy(self)
+        object.__setattr__(other, "actions", actions)  # of frozen tasks as well
+        return other
 
     def noiseless_step(self, states: Array, actions: IntArray) -> Moves:
         """Take one step f(s, a) from each state with xi = 0.

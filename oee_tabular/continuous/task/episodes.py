@@ -155,7 +155,7 @@ def monte_carlo_value(
 
 def compare_returns(
     tasks: Sequence[ContinuousTask],
-    policy: StatePolicy,
+    policy: StatePolicy | Sequence[StatePolicy],
     n: int,
     horizon: int,
     *,
@@ -163,6 +163,8 @@ def compare_returns(
     seed: np.random.SeedSequence,
 ) -> Array:
     """Sample returns (len(tasks), n) of several tasks with common random numbers.
+
+    All have the ``policy``, or each its own of a sequence.
 
     The random numbers belong to the episode and the step, so that tasks that are alike
     go alike. By the difference of two tasks' returns their values are compared with a
@@ -179,12 +181,13 @@ def compare_returns(
     for t, stream in enumerate(steps.spawn(horizon)):
         uniform = stream.random(n)
         disturbance = stream.standard_normal((n_disturbances, n)).T
-        probabilities = check_probabilities(policy, states, tasks[0].n_actions)
+        ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
+        parts = [slice(*each) for each in itertools.pairwise(ends.tolist())]
+        probabilities = _ask_each(policy, states, parts, tasks[0].n_actions)
         actions = _choose(probabilities, uniform[alive % n])
         following = np.empty_like(states)
         ended = np.zeros(len(states), dtype=np.bool_)
-        ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
-        for task, here in zip(tasks, map(slice, ends[:-1], ends[1:]), strict=True):
+        for task, here in zip(tasks, parts, strict=True):
             if here.start < here.stop:
                 xi = disturbance[alive[here] % n, : task.n_disturbances]
                 moved = task.moves(states[here], actions[here], xi)
@@ -196,6 +199,23 @@ def compare_returns(
         if alive.size == 0:
             break
     return total.reshape(len(tasks), n)
+
+
+def _ask_each(
+    policy: StatePolicy | Sequence[StatePolicy],
+    states: Array,
+    parts: Sequence[slice],
+    n_actions: int,
+) -> Array:
+    """Return probabilities (n, A) of one policy, or of one for each part of the rows."""
+    if callable(policy):
+        return check_probabilities(policy, states, n_actions)
+    asked = [
+        check_probabilities(each, states[here], n_actions)
+        for each, here in zip(policy, parts, strict=True)
+        if here.start < here.stop
+    ]
+    return np.concatenate(asked)
 
 
 @suggest_keywords

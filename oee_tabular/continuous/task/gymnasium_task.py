@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -224,40 +224,16 @@ class GymnasiumTask(ContinuousTask):
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
-        self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
-        stated = _checks.as_array(actions, "actions")
-        self.commands = self.actions if stated.dtype.hasobject else stated
+        self._set_actions(actions)
         self.n_disturbances = 0
         self.periodic = (False,) * len(state) if periodic is None else tuple(periodic)
         self.terminates = terminates
-        for number in range(len(self.actions)):
-            if not self._env.action_space.contains(self.command(number)):
-                raise ArgumentError(
-                    f"actions[{number}]",
-                    f"must be in {self._env.action_space}; it is"
-                    f" {self.actions[number].tolist()}",
-                )
         if low is None or high is None:
             usual_low, usual_high = self._find_ranges(_make_one(make))
             low = usual_low if low is None else low
             high = usual_high if high is None else high
-        for name, given in (("low", low), ("high", high)):
-            end = _checks.float_array(given, name)
-            if end.shape != state.shape:
-                raise ArgumentError(
-                    name,
-                    f"must have shape {state.shape}, one for each of state_names; it"
-                    f" has shape {end.shape}",
-                )
-            setattr(self, f"feature_{name}", end)
-        self._write(self._env, state)
-        kept = self.read(self._env)
-        if not np.array_equal(kept, state):
-            raise ArgumentError(
-                "set_state",
-                f"must set what get_state reads; {state.tolist()} became"
-                f" {kept.tolist()}",
-            )
+        self._set_ranges(low, high)
+        self._require_set(state)
         # a function that makes the task with other parameters, given by name; Physics
         # where the environment is named
         self.family: Any = None
@@ -272,6 +248,43 @@ class GymnasiumTask(ContinuousTask):
             repeating = (way for way in ways if self._repeats(way, *record))
             self._at_once = next(repeating, None)
             self.n_disturbances = self._count_draws(*record)
+
+    def _set_actions(self, actions: RealArrayLike) -> None:
+        """Take the actions, each of which the environment must have."""
+        self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
+        stated = _checks.as_array(actions, "actions")
+        self.commands = self.actions if stated.dtype.hasobject else stated
+        for number in range(len(self.actions)):
+            if not self._env.action_space.contains(self.command(number)):
+                raise ArgumentError(
+                    f"actions[{number}]",
+                    f"must be in {self._env.action_space}; it is"
+                    f" {self.actions[number].tolist()}",
+                )
+
+    def _set_ranges(self, low: object, high: object) -> None:
+        """Take the least and the largest of each coordinate."""
+        shape = (self.n_state,)
+        for name, given in (("low", low), ("high", high)):
+            end = _checks.float_array(given, name)
+            if end.shape != shape:
+                raise ArgumentError(
+                    name,
+                    f"must have shape {shape}, one for each of state_names; it has"
+                    f" shape {end.shape}",
+                )
+            setattr(self, f"feature_{name}", end)
+
+    def _require_set(self, state: Array) -> None:
+        """Require that a state that is set is the one that is read."""
+        self._write(self._env, state)
+        kept = self.read(self._env)
+        if not np.array_equal(kept, state):
+            raise ArgumentError(
+                "set_state",
+                f"must set what get_state reads; {state.tolist()} became"
+                f" {kept.tolist()}",
+            )
 
     def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
         """Step a record of random actions again from its states; return its (s, a).
@@ -456,6 +469,12 @@ class GymnasiumTask(ContinuousTask):
             The parameters.
         """
         return self._parameters
+
+    def with_actions(self, actions: Array) -> Self:
+        """Return the task with other actions, which the environment must have."""
+        other = super().with_actions(actions)
+        other.commands = actions
+        return other
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """Take one step from each state through the environment's own ``step``.

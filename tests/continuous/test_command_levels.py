@@ -1,0 +1,171 @@
+"""How many levels commands are given by: what it does to values is measured and mended."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.continuous.evaluation.command_levels import (
+    Rounding,
+    make_finer,
+    make_finer_often,
+    measure_roundings,
+)
+from oee_tabular.continuous.evaluation.policies import as_probabilities
+from oee_tabular.continuous.evaluation.rollouts import Rollouts
+from oee_tabular.continuous.task.base import ContinuousTask, Moves
+from oee_tabular.report import Settings, evaluate_continuous
+
+
+class Slider(ContinuousTask):
+    """A point that is moved by its command; a reward minus the square of the command."""
+
+    name = "slider"
+    state_names = ("place",)
+    n_disturbances = 1
+    feature_names = state_names
+    feature_low = np.array([-20.0])
+    feature_high = np.array([20.0])
+    periodic = (False,)
+    terminates = False
+
+    def __init__(self, levels=3, shift=0.0):
+        self.actions = np.linspace(-2.0, 2.0, levels)[:, None]
+        self.shift = shift
+
+    def initial_points(self):
+        return np.array([[1.0]]), np.ones(1)
+
+    def initial_states(self, n, rng):
+        return np.ones((n, 1))
+
+    def moves(self, states, actions, disturbance):
+        commands = self.actions[actions]
+        after = 0.9 * states + 0.1 * (commands + self.shift) + 0.01 * disturbance
+        return Moves(after, -(commands[:, 0] ** 2), np.zeros(len(states), dtype=bool))
+
+
+class Deaf(Slider):
+    """A task that does not read ``self.actions``."""
+
+    def moves(self, states, actions, disturbance):
+        commands = np.linspace(-2.0, 2.0, 3)[:, None][actions]
+        after = 0.9 * states + 0.1 * commands
+        return Moves(after, -(commands[:, 0] ** 2), np.zeros(len(states), dtype=bool))
+
+
+def brake(states):
+    return 0.5 + 0.0 * states
+
+
+def log_of(task, n=600, seed=0):
+    return oee.tasks.record(
+        task,
+        lambda s: np.full((len(s), len(task.actions)), 1 / len(task.actions)),
+        n_transitions=n,
+        max_steps=20,
+        seed=seed,
+    )
+
+
+@pytest.mark.parametrize("levels", [2, 3, 5])
+def test_a_finer_task_has_a_level_between_each_two(levels):
+    task = Slider(levels)
+    finer, places = make_finer(task, log_of(task))
+    assert_allclose(finer.actions[:, 0], np.linspace(-2.0, 2.0, 2 * levels - 1))
+    assert_array_equal(finer.actions[places], task.actions)
+    assert len(task.actions) == levels
+    twice = make_finer_often(task, log_of(task), 2)
+    assert_allclose(twice.actions[:, 0], np.linspace(-2.0, 2.0, 4 * levels - 3))
+
+
+def test_two_coordinates_are_a_product():
+    task = Slider(3)
+    grid = np.array([[x, y] for x in (0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+    task = task.with_actions(grid)
+    log = log_of(Slider(6))
+    finer, places = make_finer(task, log)
+    assert finer.actions.shape == (3 * 5, 2)
+    assert_array_equal(finer.actions[places], grid)
+    scattered = task.with_actions(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 0.5]]))
+    assert make_finer(scattered, log_of(Slider(3))) is None
+
+
+def test_a_task_that_steps_other_commands_has_no_finer_one():
+    task = Deaf(3)
+    assert make_finer(task, log_of(task)) is None
+    assert make_finer(oee.tasks.CartPole(), log_of(oee.tasks.CartPole())) is None
+
+
+@pytest.mark.parametrize("levels", [2, 3, 5, 9])
+def test_the_error_of_rounding_is_measured(levels):
+    """A command of 0.5 is given by 0 and its neighbour: the mean square is known."""
+    task = Slider(levels)
+    policy = as_probabilities(brake, task.actions)
+    rollouts = Rollouts(10, 1.0, 4000, np.random.SeedSequence(0), paths=4000)
+    roundings, _ = measure_roundings(task, log_of(task), {"p": policy}, rollouts)
+    found = roundings[policy]
+    lower, upper = (
+        max(x for x in task.actions[:, 0] if x <= 0.5),
+        min(x for x in task.actions[:, 0] if x >= 0.5),
+    )
+    weight = 0.0 if lower == upper else (0.5 - lower) / (upper - lower)
+    mean_square = (1 - weight) * lower**2 + weight * upper**2
+    finer = np.linspace(-2.0, 2.0, 2 * levels - 1)
+    low, high = finer[finer <= 0.5].max(), finer[finer >= 0.5].min()
+    share = 0.0 if low == high else (0.5 - low) / (high - low)
+    between = (1 - share) * low**2 + share * high**2
+    expected = 4 / 3 * 10 * (mean_square - between)
+    assert abs(found.error - expected) <= 4 * found.standard_error + 1e-9
+    assert found.n_actions == levels
+
+
+@pytest.mark.parametrize(("error", "n"), [(0.05, 0), (0.3, 1), (-1.5, 2), (6.0, 3)])
+def test_refinements_follow_the_law_of_the_square(error, n):
+    rounding = Rounding(3, error, 0.01)
+    assert rounding.count_refinements(1.0) == n
+    assert rounding.is_too_large(1.0) == (n > 0)
+    assert not Rounding(3, error, 10.0).is_too_large(1.0)
+
+
+FEW = Settings(episodes=400)
+
+
+def test_coarse_levels_are_made_finer():
+    target = Slider(33, shift=0.3)
+    log = log_of(target, seed=1)
+    commands = {"action": target.actions[log.action], "behavior_probability": None}
+    log = oee.ContinuousTransitions(**log.columns() | commands)
+    with pytest.warns(UserWarning, match="moved to the nearest"):
+        report = evaluate_continuous(
+            Slider(3), log, {"p": brake}, settings=FEW, horizon=20, discount=1.0, seed=0
+        )
+    row = report.table.iloc[0]
+    assert row.lower - 0.1 <= -20 * 0.25 <= row.upper + 0.1
+    said = " ".join(report.warnings)
+    assert "to the task's 3 actions changes its value in the simulator by" in said
+    assert "actions are taken" in said
+
+
+def test_what_cannot_be_made_finer_is_in_the_interval():
+    """Numbers of actions with probabilities hold a log to its actions."""
+    task = Slider(3, shift=0.3)
+    log = log_of(task, seed=1)
+    report = evaluate_continuous(
+        Slider(3), log, {"p": brake}, settings=FEW, horizon=20, discount=1.0, seed=0
+    )
+    assert log.behavior_probability is not None
+    row = report.table.iloc[0]
+    assert row.lower < row.value < row.upper
+    # (1 - 1/4) 0 + 1/4 2^2 = 1 a step in place of 1/4
+    assert row.value == pytest.approx(-20 * 1.0, rel=0.1)
+    assert row.upper > -20 * 0.3
+    assert "The intervals include that" in " ".join(report.warnings)
+
+
+def test_a_task_that_cannot_be_measured_says_a_distance():
+    log = log_of(Deaf(3), seed=1)
+    report = evaluate_continuous(
+        Deaf(3), log, {"p": brake}, settings=FEW, horizon=20, discount=1.0, seed=0
+    )
+    assert "rounded to the task's 3 commands" in " ".join(report.warnings)
