@@ -15,6 +15,10 @@ import oee_tabular as oee
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 PAGES = {path.stem: path.read_text() for path in NOTEBOOKS.glob("*.md")}
+CHAPTERS = {
+    path.stem: path.read_text()
+    for path in sorted((NOTEBOOKS / "course").glob("[0-9]*.md"))
+}
 BLOCK = re.compile(r"^```(sh|python|text)\n(.*?)^```", re.S | re.M)
 
 
@@ -96,6 +100,30 @@ def test_pages_print_what_they_show(page, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "```text" in PAGES[page]
     run(runnable(page), capsys)
+
+
+@pytest.mark.filterwarnings("ignore::oee_tabular.exceptions.OeeWarning")
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_chapters_print_what_they_show(chapter, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run(CHAPTERS[chapter], capsys)
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_a_chapter_has_all_its_parts(chapter):
+    """A theorem with its proof, code with its output, an exercise with its solution, and
+    a link to the next chapter that there is.
+    """
+    text = CHAPTERS[chapter]
+    number = int(chapter[:2])
+    assert text.startswith(f"# {number}. ")
+    for part in ("*Proof", "```python", "```text", "**Exercise ", "<details>"):
+        assert part in text, part
+    assert text.count("**Theorem") + text.count("**Lemma") >= 1
+    for label in re.findall(r"\*\*(?:Theorem|Definition|Lemma|Exercise) (\d+)\.", text):
+        assert int(label) == number
+    following = [name for name in CHAPTERS if name.startswith(f"{number + 1:02}_")]
+    assert all(f"({name}.md)" in text for name in following)
 
 
 def test_the_landing_page_prints_what_it_shows(capsys):
