@@ -206,7 +206,7 @@ def evaluate(
         bool,
         typer.Option(
             "--verbose",
-            help="Print every note and the columns of diagnostics.",
+            help="Print every note and row, and diagnostics.",
             rich_help_panel=OUTPUT,
         ),
     ] = False,
@@ -342,7 +342,7 @@ def evaluate(
     record = made.to_dict() if as_json else {}
     shown = made.to_text(all=show_all, verbose=verbose)
     if is_shown:
-        shown = f"\n{render_intervals(made)}"
+        shown = f"\n{render_intervals(made, verbose=verbose)}"
     try:
         print_result(shown, record, as_json)
     finally:
@@ -650,6 +650,14 @@ def compare(
             rich_help_panel=OUTPUT,
         ),
     ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose",
+            help="Print every note.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say which of several policies is worth most.
@@ -688,7 +696,7 @@ def compare(
 
     def show(report: Report) -> None:
         """Print the answer of a large problem before its intervals are known."""
-        say(f"{render_comparison(report)}\n")
+        say(f"{render_comparison(report, verbose=verbose)}\n")
 
     report = contest_showing(
         problem,
@@ -699,8 +707,8 @@ def compare(
         **known,
     )
     warnings = [str(finding) for finding in problem.findings]
-    lines = [render_comparison(report)]
-    if warnings:
+    lines = [render_comparison(report, verbose=verbose)]
+    if warnings and verbose:
         lines += ["", *warnings]
     rows = report.comparison()
     record = {

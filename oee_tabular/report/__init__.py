@@ -9,6 +9,7 @@ from oee_tabular.report.evaluation import contest, evaluate
 from oee_tabular.report.evaluation import contest_showing as contest_showing
 from oee_tabular.report.evaluation import evaluate_showing as evaluate_showing
 from oee_tabular.report.evaluation import group_findings as group_findings
+from oee_tabular.report.evaluation import kinds_of_findings as kinds_of_findings
 from oee_tabular.report.evaluation import number_notes as number_notes
 from oee_tabular.report.files import ReportOutput as ReportOutput
 from oee_tabular.report.files import check_output, check_page

@@ -48,6 +48,7 @@ from oee_tabular.inference.trials import (
 )
 from oee_tabular.mdp import FiniteMDP, check_policies, require_same_available
 from oee_tabular.report import text
+from oee_tabular.report.notes import ASIDE, LEFT_OUT
 from oee_tabular.report.results import Report, Result, first_results
 from oee_tabular.report.selection import is_best_in_log
 from oee_tabular.report.uncertainty import (
@@ -228,8 +229,8 @@ def evaluate(
     >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
-    >>> report.uncertainty.sentences[0].partition(":")[0]
-    'The recorded transitions reject the simulator'
+    >>> report.uncertainty.sentences[0].partition(".")[0]
+    'The target differs from the simulator'
     """
     return evaluate_showing(
         problem,
@@ -427,6 +428,7 @@ def _write_report(
             {name: scale * reward_effect(problem, pi) for name, pi in named.items()}
         )
     warnings, notes = _collect_warnings(problem, results, left_out, effect)
+    kinds = _kinds_of_warnings(problem, results, left_out)
     return Report(
         tuple(results),
         truth,
@@ -442,6 +444,7 @@ def _write_report(
         problem,
         named,
         hidden,
+        kinds,
     )
 
 
@@ -833,18 +836,40 @@ def _collect_warnings(
     return number_notes(results, [*warnings, *group_findings(results)])
 
 
-def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
-    """Write one sentence for all findings of one kind and text.
+def _kinds_of_warnings(
+    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the kind of each of the warnings of ``_collect_warnings``."""
+    kinds = [LEFT_OUT for _ in left_out]
+    for finding in problem.findings:
+        kinds.append(finding.kind if finding.severity > 0 else ASIDE)
+    return (*kinds, *kinds_of_findings(results))
 
-    With each sentence come the (policy, estimator) that it is about.
-    """
+
+def kinds_of_findings(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return the kind of each of the sentences of ``group_findings``."""
+    return tuple(kind for kind, _ in _group_members(results))
+
+
+def _group_members(
+    results: Sequence[Result],
+) -> dict[tuple[str, str], list[Member]]:
+    """Return the findings of one kind and text with their policies and estimators."""
     groups: dict[tuple[str, str], list[Member]] = {}
     for result in results:
         for finding in result.estimate.findings:
             group = groups.setdefault((finding.kind, finding.text), [])
             group.append((finding, result.policy, result.estimator))
+    return groups
+
+
+def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
+    """Write one sentence for all findings of one kind and text.
+
+    With each sentence come the (policy, estimator) that it is about.
+    """
     sentences = []
-    for members in groups.values():
+    for members in _group_members(results).values():
         worst = max(members, key=lambda member: member[0].severity)[0]
         sentence = worst.sentence(_write_figures(members))
         pairs = [(policy, estimator) for _, policy, estimator in members]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,6 +148,9 @@ class Report:
     hidden : frozenset of (policy, estimator)
         The results that a short table leaves out: importance sampling that rests on a
         few episodes.
+    kinds : tuple of str
+        The kind of each warning, such as that of its finding, which ranks it among the
+        notes. Warnings beyond its end are of no kind.
 
     See Also
     --------
@@ -188,6 +191,7 @@ class Report:
         default_factory=dict, repr=False, compare=False
     )
     hidden: frozenset[tuple[str, str]] = frozenset()
+    kinds: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -224,6 +228,7 @@ class Report:
         interval.
         """
         answers = []
+        tried = self.uncertainty.trials
         for policy, first in first_results(self.results).items():
             row = self._record(first)
             simulator = self._record_of_simulator(policy)
@@ -253,6 +258,7 @@ class Report:
                     assumption,
                     is_inner,
                     first.estimate.is_from_log,
+                    policy in tried and tried[policy].is_contradicted,
                 )
             )
         return answers
@@ -274,6 +280,15 @@ class Report:
         could not be read where they are more than 1%; rewards that were rounded, or
         change each value by less than a twentieth of half its interval, are not.
         """
+        return self._write_headline(text.policy_worth)
+
+    @property
+    def brief(self) -> str:
+        """Return the headline without what the interval assumes, which is a note."""
+        return self._write_headline(text.policy_value)
+
+    def _write_headline(self, write: Callable[[Answer, float], str]) -> str:
+        """Write the headline, with a sentence by ``write`` about a single policy."""
         silent = self.uncertainty.unanswered
         answers = [
             answer
@@ -282,7 +297,7 @@ class Report:
         ]
         if not answers:
             return self.uncertainty.caveat or text.NO_VALUE
-        sentences = [text.policy_worth(answer, self.confidence) for answer in answers]
+        sentences = [write(answer, self.confidence) for answer in answers]
         if len(self.answers) > 1 and self.uncertainty.ranking:
             sentences = [text.silent_log(answers), self.uncertainty.ranking]
         sentences.insert(0, self.uncertainty.caveat)
@@ -563,18 +578,22 @@ class Report:
     def to_text(self, *, all: bool = False, verbose: bool = False) -> str:
         """Write the report as text for a terminal of 100 columns.
 
+        The short form is the answer, one table, the three notes that matter most, and
+        what the value was made from. Its last line says what is left out.
+
         Parameters
         ----------
         all : bool, default False
             Whether to show the rows that a short report leaves out: importance sampling
             that rests on a few episodes.
         verbose : bool, default False
-            Whether to show every note, and columns of diagnostics.
+            Whether to show every note, what each interval is, a row for each estimator
+            of several policies, and columns of diagnostics.
 
         Returns
         -------
         str
-            The answer, the tables, what the intervals assume, and the notes.
+            The text; ``print(report)`` prints the short form.
         """
         return tables.render(
             self,

@@ -9,48 +9,162 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _printing
 from oee_tabular.report import text
+from oee_tabular.report.notes import Note, Rank, rank_notes
 
 if TYPE_CHECKING:
     from oee_tabular.report.results import Report
 
-MAX_NOTES = 5  # that a short report shows
+MAX_NOTES = 3  # that a short report shows
 LINE_WIDTH = 100  # characters
+TEXT_COLUMNS = ("policy", "estimator", "what it rests on")
 Row = Mapping[str, Any]
 Columns = Mapping[str, Callable[[Row], str]]  # title -> the cell of a row
 
 
 def render(report: Report, *, all: bool, verbose: bool) -> str:
     """Write a report as text, as ``Report.to_text`` returns it."""
+    if not verbose:
+        return render_short(report, all=all)
     rows, notes = number_notes(report, report.rows(all=all))
-    first = notes if verbose else notes[:MAX_NOTES]
-    rest = text.omissions(len(notes) - len(first), len(report.results) - len(rows))
+    rest = text.omissions(len(report.results) - len(rows))
     return join(
         fold([report.headline]),
-        comparison_table(report),
-        align(estimator_columns(report, verbose=verbose), rows, n_texts=2),
+        comparison_in_full(report),
+        align(estimator_columns(report, verbose=True), rows),
         fold([*report.legend(rows), *details(report)]),
-        [*fold(first, indent="    "), *fold([rest])],
+        [*fold(notes, indent="    "), *fold([rest])],
         fold(inputs(report)),
     )
 
 
-def render_comparison(report: Report) -> str:
+def render_short(report: Report, *, all: bool = False) -> str:
+    """Write the answer, one table, the first notes, and what the report was made from.
+
+    The last line says what is left out, and how to see it.
+    """
+    notes = rank_notes(report)
+    if has_row_for_each_policy(report) and not all:
+        shown = first_notes(notes, stated_pairs(report))
+        table = comparison_table(report)
+        more_rows = len(report.rows())
+    else:
+        rows = report.rows(all=all)
+        pairs = {(row["policy"], row["estimator"]) for row in rows}
+        shown = first_notes(notes, pairs)
+        rows = cite_notes(rows, shown)
+        table = align(short_columns(report, rows), rows)
+        more_rows = 0
+    hidden_rows = 0 if all else len(report.results) - len(report.rows())
+    rest = text.left_out(len(notes) - len(shown), more_rows, hidden_rows)
+    numbered = [f"[{k}] {note.text}" for k, note in enumerate(shown, start=1)]
+    return join(
+        fold([report.brief]),
+        [*table, *fold([f"A value is {report.meaning}."])],
+        fold(numbered, indent="    "),
+        fold([provenance(report), rest]),
+    )
+
+
+def stated_pairs(report: Report) -> set[tuple[str, str]]:
+    """Return the (policy, estimator) whose values the answer states."""
+    return {(answer.policy, answer.estimator) for answer in report.answers}
+
+
+def first_notes(notes: Sequence[Note], pairs: set[tuple[str, str]]) -> list[Note]:
+    """Return the first notes that can change what a reader does.
+
+    A note about rows is one of them only if a row of its own is among ``pairs``, those
+    of the table.
+    """
+    first = [
+        note
+        for note in notes
+        if note.rank < Rank.REMARK and (not note.pairs or note.pairs & pairs)
+    ]
+    return first[:MAX_NOTES]
+
+
+def has_row_for_each_policy(report: Report) -> bool:
+    """Say whether the policies are compared, and by nothing but the default rows.
+
+    Then a row for each policy says all that a first reader looks for.
+    """
+    names = {result.estimator for result in report.results}
+    return bool(report.comparison()) and names <= text.DEFAULT_ROWS.keys()
+
+
+def cite_notes(rows: Sequence[Row], notes: Sequence[Note]) -> list[Row]:
+    """Return rows with the numbers, from 1, of the notes that are about them."""
+    cited: list[Row] = []
+    for row in rows:
+        pair = (row["policy"], row["estimator"])
+        numbers = [k for k, note in enumerate(notes, start=1) if pair in note.pairs]
+        cited.append({**row, "notes": numbers})
+    return cited
+
+
+def short_columns(report: Report, rows: Sequence[Row]) -> Columns:
+    """Return the columns of a short table with a row for each policy and estimator.
+
+    A column stands there only if a row has something in it.
+    """
+    columns: dict[str, Callable[[Row], str]] = {}
+    # the answer names a single policy
+    if len(report.answers) > 1:
+        columns["policy"] = itemgetter("policy")
+    columns["estimator"] = itemgetter("estimator")
+    columns |= value_columns(report)
+    if report.truth:
+        columns["error"] = number_cell("error", "{:+.2g}".format)
+    if any(row["notes"] for row in rows):
+        columns["note"] = write_citations
+    if any(write_basis(row) for row in rows):
+        columns["what it rests on"] = write_basis
+    return columns
+
+
+def write_basis(row: Row) -> str:
+    """Write what an estimator's value rests on; "" for estimators of one's own.
+
+    Of a log that covers less than half of what the policy does, it says how much, and
+    of a value that is not to be used it says so.
+    """
+    if row["status"] != "ok":
+        return text.NOT_USABLE
+    basis = text.DEFAULT_ROWS.get(row["estimator"], "")
+    coverage = row.get("coverage")
+    if basis and coverage is not None and coverage < text.MIN_COVERAGE:
+        basis += f", which covers {_printing.share(coverage)}"
+    return basis
+
+
+def write_citations(row: Row) -> str:
+    """Write the numbers of a row's notes."""
+    return "".join(f"[{k}]" for k in row["notes"])
+
+
+def render_comparison(report: Report, *, verbose: bool) -> str:
     """Write what ``oee compare`` prints: the answer, and a row for each policy."""
+    if not verbose:
+        return render_short(report)
     return join(
         fold([report.headline]),
-        comparison_table(report),
+        comparison_in_full(report),
         fold([*details(report), *inputs(report)]),
     )
 
 
-def render_intervals(report: Report) -> str:
+def render_intervals(report: Report, *, verbose: bool) -> str:
     """Write what likelihood intervals add to a report that was shown without them."""
+    title = "With the likelihood intervals:"
+    if not verbose:
+        return join([title], [render_short(report)])
     kinds = ("likelihood", "likelihood with trials")
     rows = [row for row in report.rows() if row["interval_method"] in kinds]
     return join(
-        fold(["With the likelihood intervals:"]),
+        [title],
         fold([report.headline]),
-        comparison_table(report),
+        comparison_in_full(report),
         fold([*report.legend(rows), *details(report)]),
     )
 
@@ -82,8 +196,17 @@ def estimator_columns(report: Report, *, verbose: bool) -> Columns:
         "estimator": itemgetter("estimator"),
         **value_columns(report),
         **more,
-        "note": lambda row: "".join(f"[{k}]" for k in row["notes"]),
+        "note": write_citations,
     }
+
+
+def comparison_in_full(report: Report) -> list[str]:
+    """Write the table of the policies, and why it has no P(best)."""
+    rows = report.comparison()
+    lines = comparison_table(report)
+    if any(row["probability_best"] is None for row in rows):
+        lines += fold([text.NO_P_BEST])
+    return lines
 
 
 def value_columns(report: Report) -> Columns:
@@ -131,24 +254,32 @@ def comparison_table(report: Report) -> list[str]:
     rows = report.comparison()
     if not rows:
         return []
-    best = number_cell("probability_best", "{:.1%}".format)
     columns: dict[str, Callable[[Row], str]] = {
         "policy": itemgetter("policy"),
         **value_columns(report),
-        "P(best)": lambda row: best(row) or "-",
-        "below the top row by": write_difference,
     }
+    simulated = {
+        answer.policy: text.format_value(answer.simulator, answer.lower, answer.upper)
+        for answer in report.answers
+        if answer.simulator is not None and answer.is_from_log
+    }
+    if simulated:
+        columns["simulator says"] = lambda row: simulated.get(
+            row["policy"], ""
+        ).replace("−", "-")
+    if any(row["probability_best"] is not None for row in rows):
+        best = number_cell("probability_best", "{:.1%}".format)
+        columns["P(best)"] = lambda row: best(row) or "-"
+    columns["below the top row by"] = write_difference
 
     def exact_value(row: Row) -> str:
         """Write the exact value of a policy, in the report's unit."""
-        return f"{report.truth[row['policy']] * report.scale:.6g}"
+        exact = report.truth[row["policy"]] * report.scale
+        return write_value(exact, row["lower"], row["upper"])
 
     if report.truth:
         columns["exact value"] = exact_value
-    lines = align(columns, rows, n_texts=1)
-    if any(row["probability_best"] is None for row in rows):
-        lines.append(text.NO_P_BEST)
-    return lines
+    return align(columns, rows)
 
 
 def write_value(value: float, lower: float | None, upper: float | None) -> str:
@@ -177,16 +308,17 @@ def number_cell(key: str, form: Callable[[float], str]) -> Callable[[Row], str]:
     return lambda row: "" if row.get(key) is None else form(row[key])
 
 
-def align(columns: Columns, rows: Sequence[Row], *, n_texts: int) -> list[str]:
-    """Return the lines of a table; only the first n_texts columns align left."""
+def align(columns: Columns, rows: Sequence[Row]) -> list[str]:
+    """Return the lines of a table; columns of texts align left, others right."""
     table = [list(columns)]
     table += [[cell(row) for cell in columns.values()] for row in rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
     for cells in table:
         padded = []
-        for k, (cell, width) in enumerate(zip(cells, widths, strict=True)):
-            padded.append(cell.ljust(width) if k < n_texts else cell.rjust(width))
+        for title, cell, width in zip(columns, cells, widths, strict=True):
+            is_text = title in TEXT_COLUMNS
+            padded.append(cell.ljust(width) if is_text else cell.rjust(width))
         lines.append("  ".join(padded).rstrip())
     return lines
 
@@ -224,6 +356,19 @@ def inputs(report: Report) -> list[str]:
         f"Value: {report.unit}",
         *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),
     ]
+
+
+def provenance(report: Report) -> str:
+    """Return in one line what the report was made from."""
+    problem = report.problem
+    counts: tuple[int, int] | None = None
+    if problem is not None:
+        counts = (round(float(problem.counts.sum())), problem.simulator.n_states)
+    simulator = report.facts.get("simulator_name")
+    if simulator and report.facts.get("action_noise"):
+        simulator += f" with action noise {report.facts['action_noise']:g}"
+    names = (report.facts.get("log_name"), simulator)
+    return text.provenance(counts, names)
 
 
 def fold(sentences: Iterable[str], indent: str = "") -> list[str]:
