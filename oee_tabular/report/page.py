@@ -32,9 +32,8 @@ from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp import Names
 from oee_tabular.plots import draw_or_warn
-from oee_tabular.report import text
+from oee_tabular.report import columns, text
 from oee_tabular.report.files import plain
-from oee_tabular.report.tables import diagnostic_columns
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 from oee_tabular.shrinkage import transition_ratio
 from oee_tabular.typing import Array, BoolArray
@@ -119,13 +118,20 @@ def render(
         command=plan_command(report),
         date=date(report),
         fingerprint=inputs,
-        diagnostics=diagnostic_columns(report),
+        diagnostics=columns.estimator_columns(report.content, columns.DIAGNOSTICS),
         versions=_versions(),
         estimators=NAMED,
         methods=text.METHODS,
-        columns=text.COLUMNS,
+        columns=_meanings(report),
     )
     return legible(page) + "\n"
+
+
+def _meanings(report: Report) -> dict[str, str]:
+    """Return what the columns mean whose titles do not say it."""
+    shown = columns.estimator_columns(report.content, columns.DIAGNOSTICS)
+    every = [columns.P_BEST_COLUMN, *shown]
+    return {column.title: column.meaning for column in every if column.meaning}
 
 
 def legible(words: object) -> str:

@@ -1,73 +1,180 @@
-"""Views of a report as text for a terminal, and as a table in a notebook."""
+"""Views of a report's content as text for a terminal, and as a table in a notebook."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from oee_tabular import _printing
-from oee_tabular.report import text
-from oee_tabular.report.notes import Note, Rank, rank_notes
+from oee_tabular.report import columns, text
+from oee_tabular.report.columns import Column, Row
+from oee_tabular.report.notes import Note, Rank
 
 if TYPE_CHECKING:
+    from oee_tabular.report.content import Content
     from oee_tabular.report.results import Report
 
 MAX_NOTES = 3  # that a short report shows
 LINE_WIDTH = 100  # characters
-TEXT_COLUMNS = ("policy", "estimator", "what it rests on")
-Row = Mapping[str, Any]
-Columns = Mapping[str, Callable[[Row], str]]  # title -> the cell of a row
+NOTEBOOK = (
+    columns.POLICY,
+    columns.ESTIMATOR,
+    columns.VALUE,
+    columns.INTERVAL,
+    columns.STANDARD_ERROR,
+    columns.ERROR,
+    columns.NOTE,
+)
 
 
 def render(report: Report, *, all: bool, verbose: bool) -> str:
     """Write a report as text, as ``Report.to_text`` returns it."""
+    content = report.content
     if not verbose:
-        return render_short(report, all=all)
-    rows, notes = number_notes(report, report.rows(all=all))
-    rest = text.omissions(len(report.results) - len(rows))
+        return render_short(content, all=all)
+    rows, notes = number_notes(content, content.records if all else content.shown)
+    rest = text.omissions(len(content.records) - len(rows))
     return join(
-        fold([report.headline]),
-        comparison_in_full(report),
-        align(estimator_columns(report, verbose=True), rows),
-        fold([*report.legend(rows), *details(report)]),
+        fold([content.headline]),
+        comparison_in_full(content),
+        align(columns.estimator_columns(content, columns.FULL), rows),
+        fold([*report.legend(rows), *content.details]),
         [*fold(notes, indent="    "), *fold([rest])],
-        fold(inputs(report)),
+        fold(inputs(content)),
     )
 
 
-def render_short(report: Report, *, all: bool = False) -> str:
+def render_short(content: Content, *, all: bool = False) -> str:
     """Write the answer, one table, the first notes, and what the report was made from.
 
     The last line says what is left out, and how to see it.
     """
-    notes = rank_notes(report)
-    if has_row_for_each_policy(report) and not all:
-        shown = first_notes(notes, stated_pairs(report))
-        table = comparison_table(report)
-        more_rows = len(report.rows())
+    if has_row_for_each_policy(content) and not all:
+        shown = first_notes(content.notes, stated_pairs(content))
+        table = comparison_table(content)
+        more_rows = len(content.shown)
     else:
-        rows = report.rows(all=all)
-        pairs = {(row["policy"], row["estimator"]) for row in rows}
-        shown = first_notes(notes, pairs)
-        rows = cite_notes(rows, shown)
-        table = align(short_columns(report, rows), rows)
+        records = content.records if all else content.shown
+        pairs = {(row["policy"], row["estimator"]) for row in records}
+        shown = first_notes(content.notes, pairs)
+        rows = cite_notes(records, shown)
+        table = align(short_columns(content, rows), rows)
         more_rows = 0
-    hidden_rows = 0 if all else len(report.results) - len(report.rows())
-    rest = text.left_out(len(notes) - len(shown), more_rows, hidden_rows)
+    hidden_rows = 0 if all else len(content.records) - len(content.shown)
+    rest = text.left_out(len(content.notes) - len(shown), more_rows, hidden_rows)
     numbered = [f"[{k}] {note.text}" for k, note in enumerate(shown, start=1)]
     return join(
-        fold([report.brief]),
-        [*table, *fold([f"A value is {report.meaning}."])],
+        fold([content.brief]),
+        [*table, *fold([f"A value is {content.meaning}."])],
         fold(numbered, indent="    "),
-        fold([provenance(report), rest]),
+        fold([provenance(content), rest]),
     )
 
 
-def stated_pairs(report: Report) -> set[tuple[str, str]]:
+def render_comparison(report: Report, *, verbose: bool) -> str:
+    """Write what ``oee compare`` prints: the answer, and a row for each policy."""
+    content = report.content
+    if not verbose:
+        return render_short(content)
+    return join(
+        fold([content.headline]),
+        comparison_in_full(content),
+        fold([*content.details, *inputs(content)]),
+    )
+
+
+def render_intervals(report: Report, *, verbose: bool) -> str:
+    """Write what likelihood intervals add to a report that was shown without them."""
+    content = report.content
+    title = "With the likelihood intervals:"
+    if not verbose:
+        return join([title], [render_short(content)])
+    kinds = ("likelihood", "likelihood with trials")
+    rows = [row for row in content.shown if row["interval_method"] in kinds]
+    return join(
+        [title],
+        fold([content.headline]),
+        comparison_in_full(content),
+        fold([*report.legend(rows), *content.details]),
+    )
+
+
+def render_html(content: Content) -> str:
+    """Write a report as a table in a notebook."""
+    chosen = [
+        name for name in NOTEBOOK if name != columns.STANDARD_ERROR or not content.truth
+    ]
+    shown = columns.estimator_columns(content, chosen)
+    rows, notes = number_notes(content, content.shown)
+    return _printing.table(
+        [column.title for column in shown],
+        [[column.write(row) for column in shown] for row in rows],
+        caption=content.headline,
+        text_columns=2,
+        below=[*content.legend, *content.details, *notes, *inputs(content)],
+    )
+
+
+# ---- the table
+
+
+def has_row_for_each_policy(content: Content) -> bool:
+    """Say whether the policies are compared, and by nothing but the default rows.
+
+    Then a row for each policy says all that a first reader looks for.
+    """
+    names = {row["estimator"] for row in content.records}
+    return bool(content.comparison) and names <= text.DEFAULT_ROWS.keys()
+
+
+def short_columns(content: Content, rows: Sequence[Row]) -> list[Column]:
+    """Return the columns of a short table with a row for each policy and estimator.
+
+    A column stands there only if a row has something in it. The answer names a single
+    policy, so that a column of policies stands there only for several.
+    """
+    chosen = columns.estimator_columns(content, columns.SHORT)
+    if len(content.answers) == 1:
+        chosen = [column for column in chosen if column.title != columns.POLICY]
+    return [column for column in chosen if any(column.write(row) for row in rows)]
+
+
+def comparison_table(content: Content) -> list[str]:
+    """Write a row for each policy, best first; no lines for a single policy."""
+    if not content.comparison:
+        return []
+    return align(columns.comparison_columns(content), content.comparison)
+
+
+def comparison_in_full(content: Content) -> list[str]:
+    """Write the table of the policies, and why it has no P(best)."""
+    lines = comparison_table(content)
+    if any(row["probability_best"] is None for row in content.comparison):
+        lines += fold([text.NO_P_BEST])
+    return lines
+
+
+def align(chosen: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    """Return the lines of a table; columns of texts align left, others right."""
+    table = [[column.title for column in chosen]]
+    table += [[column.write(row) for column in chosen] for row in rows]
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+    lines = []
+    for cells in table:
+        padded = []
+        for column, cell, width in zip(chosen, cells, widths, strict=True):
+            padded.append(cell.ljust(width) if column.is_text else cell.rjust(width))
+        lines.append("  ".join(padded).rstrip())
+    return lines
+
+
+# ---- the notes
+
+
+def stated_pairs(content: Content) -> set[tuple[str, str]]:
     """Return the (policy, estimator) whose values the answer states."""
-    return {(answer.policy, answer.estimator) for answer in report.answers}
+    return {(answer.policy, answer.estimator) for answer in content.answers}
 
 
 def first_notes(notes: Sequence[Note], pairs: set[tuple[str, str]]) -> list[Note]:
@@ -84,15 +191,6 @@ def first_notes(notes: Sequence[Note], pairs: set[tuple[str, str]]) -> list[Note
     return first[:MAX_NOTES]
 
 
-def has_row_for_each_policy(report: Report) -> bool:
-    """Say whether the policies are compared, and by nothing but the default rows.
-
-    Then a row for each policy says all that a first reader looks for.
-    """
-    names = {result.estimator for result in report.results}
-    return bool(report.comparison()) and names <= text.DEFAULT_ROWS.keys()
-
-
 def cite_notes(rows: Sequence[Row], notes: Sequence[Note]) -> list[Row]:
     """Return rows with the numbers, from 1, of the notes that are about them."""
     cited: list[Row] = []
@@ -103,272 +201,48 @@ def cite_notes(rows: Sequence[Row], notes: Sequence[Note]) -> list[Row]:
     return cited
 
 
-def short_columns(report: Report, rows: Sequence[Row]) -> Columns:
-    """Return the columns of a short table with a row for each policy and estimator.
-
-    A column stands there only if a row has something in it.
-    """
-    columns: dict[str, Callable[[Row], str]] = {}
-    # the answer names a single policy
-    if len(report.answers) > 1:
-        columns["policy"] = itemgetter("policy")
-    columns["estimator"] = itemgetter("estimator")
-    columns |= value_columns(report)
-    if report.truth:
-        columns["error"] = number_cell("error", "{:+.2g}".format)
-    if any(row["notes"] for row in rows):
-        columns["note"] = write_citations
-    if any(write_basis(row) for row in rows):
-        columns["what it rests on"] = write_basis
-    return columns
-
-
-def write_basis(row: Row) -> str:
-    """Write what an estimator's value rests on; "" for estimators of one's own.
-
-    Of a log that covers less than half of what the policy does, it says how much, and
-    of a value that is not to be used it says so.
-    """
-    if row["status"] != "ok":
-        return text.NOT_USABLE
-    basis = text.DEFAULT_ROWS.get(row["estimator"], "")
-    coverage = row.get("coverage")
-    if basis and coverage is not None and coverage < text.MIN_COVERAGE:
-        basis += f", which covers {_printing.share(coverage)}"
-    return basis
-
-
-def write_citations(row: Row) -> str:
-    """Write the numbers of a row's notes."""
-    return "".join(f"[{k}]" for k in row["notes"])
-
-
-def render_comparison(report: Report, *, verbose: bool) -> str:
-    """Write what ``oee compare`` prints: the answer, and a row for each policy."""
-    if not verbose:
-        return render_short(report)
-    return join(
-        fold([report.headline]),
-        comparison_in_full(report),
-        fold([*details(report), *inputs(report)]),
-    )
-
-
-def render_intervals(report: Report, *, verbose: bool) -> str:
-    """Write what likelihood intervals add to a report that was shown without them."""
-    title = "With the likelihood intervals:"
-    if not verbose:
-        return join([title], [render_short(report)])
-    kinds = ("likelihood", "likelihood with trials")
-    rows = [row for row in report.rows() if row["interval_method"] in kinds]
-    return join(
-        [title],
-        fold([report.headline]),
-        comparison_in_full(report),
-        fold([*report.legend(rows), *details(report)]),
-    )
-
-
-def render_html(report: Report) -> str:
-    """Write a report as a table in a notebook."""
-    columns = estimator_columns(report, verbose=False)
-    rows, notes = number_notes(report, report.rows())
-    return _printing.table(
-        list(columns),
-        [[cell(row) for cell in columns.values()] for row in rows],
-        caption=report.headline,
-        text_columns=2,
-        below=[*report.legend(rows), *details(report), *notes, *inputs(report)],
-    )
-
-
-def estimator_columns(report: Report, *, verbose: bool) -> Columns:
-    """Return the columns of the table with a row for each policy and estimator.
-
-    They are six; ``verbose`` shows all columns of diagnostics.
-    """
-    more = diagnostic_columns(report)
-    if not verbose:
-        shown = "error" if report.truth else "std. error"
-        more = {shown: more[shown]}
-    return {
-        "policy": itemgetter("policy"),
-        "estimator": itemgetter("estimator"),
-        **value_columns(report),
-        **more,
-        "note": write_citations,
-    }
-
-
-def comparison_in_full(report: Report) -> list[str]:
-    """Write the table of the policies, and why it has no P(best)."""
-    rows = report.comparison()
-    lines = comparison_table(report)
-    if any(row["probability_best"] is None for row in rows):
-        lines += fold([text.NO_P_BEST])
-    return lines
-
-
-def value_columns(report: Report) -> Columns:
-    """Return the columns of a value and its interval.
-
-    A value without an interval has no more digits than the policy's answer.
-    """
-    quoted = {answer.policy: (answer.lower, answer.upper) for answer in report.answers}
-
-    def value(row: Row) -> str:
-        """Write a value with as many digits as an interval allows."""
-        ends = row["lower"], row["upper"]
-        shown = text.format_estimate(row["value"], ends, quoted[row["policy"]])
-        return shown.replace("−", "-")
-
-    return {
-        "value": value,
-        f"{report.confidence:.0%} interval": lambda row: write_interval(
-            row["lower"], row["upper"]
-        ),
-    }
-
-
-def diagnostic_columns(report: Report) -> Columns:
-    """Return the columns of diagnostics, whose cells are empty where a row has none."""
-    errors = {"std. error": number_cell("standard_error", "{:.2g}".format)}
-    if report.truth:
-        errors["error"] = number_cell("error", "{:+.2g}".format)
-    return {
-        **errors,
-        "eff. n": number_cell("effective_sample_size", "{:.0f}".format),
-        "coverage": number_cell("coverage", _printing.share),
-        "max weight": number_cell("largest_weight", "{:.3g}".format),
-        "row-sum err.": number_cell("row_sum_error", _write_row_sum_error),
-    }
-
-
-def _write_row_sum_error(error: float) -> str:
-    """Write how far rows are from summing to 1; rounding is 0."""
-    return "0" if error < 1e-9 else f"{error:.2g}"
-
-
-def comparison_table(report: Report) -> list[str]:
-    """Write a row for each policy, best first; no lines for a single policy."""
-    rows = report.comparison()
-    if not rows:
-        return []
-    columns: dict[str, Callable[[Row], str]] = {
-        "policy": itemgetter("policy"),
-        **value_columns(report),
-    }
-    simulated = {
-        answer.policy: text.format_value(answer.simulator, answer.lower, answer.upper)
-        for answer in report.answers
-        if answer.simulator is not None and answer.is_from_log
-    }
-    if simulated:
-        columns["simulator says"] = lambda row: simulated.get(
-            row["policy"], ""
-        ).replace("−", "-")
-    if any(row["probability_best"] is not None for row in rows):
-        best = number_cell("probability_best", "{:.1%}".format)
-        columns["P(best)"] = lambda row: best(row) or "-"
-    columns["below the top row by"] = write_difference
-
-    def exact_value(row: Row) -> str:
-        """Write the exact value of a policy, in the report's unit."""
-        exact = report.truth[row["policy"]] * report.scale
-        return write_value(exact, row["lower"], row["upper"])
-
-    if report.truth:
-        columns["exact value"] = exact_value
-    return align(columns, rows)
-
-
-def write_value(value: float, lower: float | None, upper: float | None) -> str:
-    """Write a value with as many digits as its interval has."""
-    if lower is None or upper is None:
-        return text.format_number(value).replace("−", "-")
-    return f"{value:{_printing.spec(lower, upper)}}"
-
-
-def write_interval(lower: float | None, upper: float | None) -> str:
-    """Write an interval; "" without one."""
-    return "" if lower is None or upper is None else _printing.interval(lower, upper)
-
-
-def write_difference(row: Row) -> str:
-    """Write by how much a policy is worth less than the best; "" for the best."""
-    less = row["less_by"]
-    if less is None:
-        return ""
-    ends = (row["less_by_lower"], row["less_by_upper"])
-    return f"{write_value(less, *ends)} {write_interval(*ends)}".strip()
-
-
-def number_cell(key: str, form: Callable[[float], str]) -> Callable[[Row], str]:
-    """Return the function that writes a row's number; "" where the row has none."""
-    return lambda row: "" if row.get(key) is None else form(row[key])
-
-
-def align(columns: Columns, rows: Sequence[Row]) -> list[str]:
-    """Return the lines of a table; columns of texts align left, others right."""
-    table = [list(columns)]
-    table += [[cell(row) for cell in columns.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = []
-    for cells in table:
-        padded = []
-        for title, cell, width in zip(columns, cells, widths, strict=True):
-            is_text = title in TEXT_COLUMNS
-            padded.append(cell.ljust(width) if is_text else cell.rjust(width))
-        lines.append("  ".join(padded).rstrip())
-    return lines
-
-
-def number_notes(report: Report, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
+def number_notes(content: Content, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
     """Return the rows with their notes numbered from 1, and the sentences of the notes.
 
     A warning that is about no row in particular has no number, and comes first.
     """
     cited = sorted({k for row in rows for k in row["notes"]})
-    about_rows = {k for notes in report.notes.values() for k in notes}
+    warnings = content.warnings
     general = [
         warning
-        for k, warning in enumerate(report.warnings, start=1)
-        if k not in about_rows
+        for k, warning in enumerate(warnings, start=1)
+        if k not in content.about_rows
     ]
-    numbered = [f"[{i}] {report.warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
+    numbered = [f"[{i}] {warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
     renumbered: list[Row] = [
         {**row, "notes": [1 + cited.index(k) for k in row["notes"]]} for row in rows
     ]
     return renumbered, [*general, *numbered]
 
 
-def details(report: Report) -> list[str]:
-    """Return the sentences below the table; the ranking stands above it."""
-    return list(report.uncertainty.details)
+# ---- what it was made from
 
 
-def inputs(report: Report) -> list[str]:
+def inputs(content: Content) -> list[str]:
     """Return the lines on what a value is, and on what it was made from."""
-    keys = [
-        key for key in ("simulator", "log", "trials", "target") if key in report.facts
-    ]
+    facts = content.facts
+    keys = [key for key in ("simulator", "log", "trials", "target") if key in facts]
     return [
-        f"Value: {report.unit}",
-        *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),
+        f"Value: {content.unit}",
+        *(f"{key.capitalize()}: {facts[key]}" for key in keys),
     ]
 
 
-def provenance(report: Report) -> str:
+def provenance(content: Content) -> str:
     """Return in one line what the report was made from."""
-    problem = report.problem
-    counts: tuple[int, int] | None = None
-    if problem is not None:
-        counts = (round(float(problem.counts.sum())), problem.simulator.n_states)
-    simulator = report.facts.get("simulator_name")
-    if simulator and report.facts.get("action_noise"):
-        simulator += f" with action noise {report.facts['action_noise']:g}"
-    names = (report.facts.get("log_name"), simulator)
-    return text.provenance(counts, names)
+    facts = content.facts
+    simulator = facts.get("simulator_name")
+    if simulator and facts.get("action_noise"):
+        simulator += f" with action noise {facts['action_noise']:g}"
+    return text.provenance(content.sizes, (facts.get("log_name"), simulator))
+
+
+# ---- lines
 
 
 def fold(sentences: Iterable[str], indent: str = "") -> list[str]:

@@ -65,23 +65,6 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
         " do anything that the simulator allows."
     ),
 }
-COLUMNS: Mapping[str, str] = {  # of the page's tables
-    "P(best)": (
-        "The probability that this policy is worth most, given the sampling noise"
-        " alone."
-    ),
-    "std. error": "Standard error, in the unit of the value.",
-    "eff. n": (
-        "Effective sample size: how many equally informative transitions (or episodes)"
-        " the value rests on."
-    ),
-    "coverage": (
-        "Share of the policy's discounted time, in the estimator's model, in recorded"
-        " state-action pairs."
-    ),
-    "max weight": "The largest ratio, target over simulator or policy over behaviour.",
-    "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
-}
 # the corrected rows of a continuous task, with the last actions in its state or without
 CONTINUOUS_ROWS = tuple(
     f"oee ({fitted}residual{actions})"
@@ -122,6 +105,8 @@ SOFT = (
     " intervals need whole and independent transitions, so they are left out."
 )
 MISSING_INTERVALS = "There are no likelihood intervals: {}."
+QUICK = "quick=True (--quick) leaves them out"  # for MISSING_INTERVALS
+SEARCHED_NEXT = "they are searched for next"
 MISSING_WORST_CASES = "The intervals' worst cases are left out: {}."
 NO_P_BEST = (
     "There is no P(best), because it includes sampling noise alone, and here other"
