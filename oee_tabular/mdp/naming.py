@@ -76,6 +76,10 @@ class Names:
             return self.describe_pair(state, action)
         return f"{_quote(word)} in {self.describe_state(state)}"
 
+    def is_named(self, state: int) -> bool:
+        """Return whether a sentence calls a state by something else than its number."""
+        return self.states is not None
+
     def action_word(self, action: int) -> str | None:
         """Return the name of an action; None where it has only a number."""
         return None if self.actions is None else self.action(action)

@@ -61,6 +61,10 @@ class PlacedNames(Names):
         row, column = self.cells[state]
         return f"cell ({row}, {column})"
 
+    def is_named(self, state: int) -> bool:
+        """Return whether a state is named by its cell."""
+        return bool(self.is_placed[state])
+
     def action_word(self, action: int) -> str | None:
         """Return the name of an action, or its direction."""
         if self.actions is None and self.directions is not None:
