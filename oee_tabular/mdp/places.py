@@ -18,6 +18,7 @@ from oee_tabular.typing import Array, BoolArray, IntArray
 # the share of an action's states that must lead in its direction; walls and slips
 # change a few
 MIN_SHARE_OF_DIRECTION = 0.75
+MIN_STEP = 1e-9  # cells; a shorter one is rounding
 # (rows down, columns right) -> the word
 DIRECTIONS = {
     (-1, 0): "up",
@@ -101,16 +102,24 @@ def place_names(mdp: FiniteMDP) -> Names:
 
 
 def _directions(mdp: FiniteMDP, layout: Array) -> tuple[str, ...] | None:
-    """Return the direction of each action; None unless they all differ."""
-    start = np.repeat(layout, mdp.n_actions, axis=0)
-    step = np.asarray(mdp.transitions @ layout) - start
+    """Return the direction of each action; None unless they all differ.
+
+    It is that of the mean step in most states, beyond the mean step of all actions
+    there: what slips, wind and walls do to all of them alike says nothing.
+    """
+    shape = (mdp.n_states, mdp.n_actions, 2)
+    step = np.asarray(mdp.transitions @ layout).reshape(shape) - layout[:, None, :]
     is_used = mdp.available & ~mdp.closed()[:, None]
-    step = step.reshape(mdp.n_states, mdp.n_actions, 2)
+    number = np.maximum(is_used.sum(axis=1), 1)
+    common = np.where(is_used[:, :, None], step, 0.0).sum(axis=1) / number[:, None]
+    step -= common[:, None, :]
     found = []
     for action in range(mdp.n_actions):
         steps = step[is_used[:, action], action]
         size = np.abs(steps).max(axis=1, initial=0.0)
-        steps = steps[size > 1e-9] / size[size > 1e-9, None]
+        # against a wall a step is short
+        is_long = size > max(0.5 * size.max(initial=0.0), MIN_STEP)
+        steps = steps[is_long] / size[is_long, None]
         if not len(steps):
             found.append((0, 0))
             continue
@@ -119,6 +128,6 @@ def _directions(mdp: FiniteMDP, layout: Array) -> tuple[str, ...] | None:
             return None
         row, column = ways[counts.argmax()]
         found.append((int(row), int(column)))
-    if len(set(found)) < len(found):
+    if mdp.n_actions == 1 or len(set(found)) < len(found):
         return None
     return tuple(DIRECTIONS[way] for way in found)
