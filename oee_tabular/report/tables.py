@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MAX_NOTES = 3  # that a short report shows
 LINE_WIDTH = 100  # characters
+EQUALS = "\x1f=\x1f"  # no white space, of the length of " = "
 NOTEBOOK = (
     columns.POLICY,
     columns.ESTIMATOR,
@@ -253,7 +254,12 @@ def fold(sentences: Iterable[str], indent: str = "") -> list[str]:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return [line for sentence in sentences for line in wrapper.wrap(sentence)]
+    lines = []
+    for sentence in sentences:
+        # an equation stays on one line
+        for line in wrapper.wrap(sentence.replace(" = ", EQUALS)):
+            lines.append(line.replace(EQUALS, " = "))
+    return lines
 
 
 def join(*paragraphs: Sequence[str]) -> str:
