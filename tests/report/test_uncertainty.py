@@ -372,7 +372,7 @@ def test_what_was_never_recorded_comes_first():
     log = oee.sample_transitions(TARGET, share / share.sum(), 5000, seed=0)
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
-    assert advice == "Record action 0 in state 0 first (never recorded)."
+    assert advice == "Record action down in cell (0, 0) first (never recorded)."
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
     assert "One state-action pair was never recorded, and the policy spends " in answer
     assert "within a factor of three of the estimated ones. If they are as" in answer
