@@ -71,7 +71,7 @@ RANKS = {
     SIMULATOR: Rank.SIMULATOR,
     NEXT: Rank.NEXT,
     INTERVAL: Rank.INTERVAL,
-    MISSING: Rank.TRIALS,
+    MISSING: Rank.SIMULATOR,
     LEFT_OUT: Rank.REMARK,
     "sample": Rank.REMARK,
     "sampled": Rank.REMARK,

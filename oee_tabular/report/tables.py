@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MAX_NOTES = 3  # that a short report shows
 LINE_WIDTH = 100  # characters
+MAX_NAME = 60  # characters of a file's name, or of a description in place of one
 EQUALS = "\x1f=\x1f"  # no white space, of the length of " = "
 NOTEBOOK = (
     columns.POLICY,
@@ -240,7 +241,15 @@ def provenance(content: Content) -> str:
     simulator = facts.get("simulator_name")
     if simulator and facts.get("action_noise"):
         simulator += f" with action noise {facts['action_noise']:g}"
-    return text.provenance(content.sizes, (facts.get("log_name"), simulator))
+    log = facts.get("log_name")
+    if content.sizes is None:  # a continuous task
+        simulator = simulator or facts.get("simulator")
+        log = log or facts.get("log")
+    names = [
+        name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
+        for name in (log, simulator)
+    ]
+    return text.provenance(content.sizes, (names[0], names[1]))
 
 
 # ---- lines

@@ -113,7 +113,7 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     page = report.to_html()
     assert "sampling interval" in page
     assert "worst case interval" in page
-    assert "if they behave as estimated" in page
+    assert "they are as estimated, it is " in page
 
 
 def test_it_stays_in_the_box():
