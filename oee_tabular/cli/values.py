@@ -370,10 +370,8 @@ def compare(
         **known,
     )
     warnings = [str(finding) for finding in problem.findings]
-    lines = [render_comparison(report, verbose=verbose)]
-    if warnings and verbose:
-        lines += ["", *warnings]
-    print_result("\n".join(lines), _record_contest(report, warnings), as_json)
+    shown = render_comparison(report, verbose=verbose)
+    print_result(shown, _record_contest(report, warnings), as_json)
     if expect_best and report.best != next(iter(report.policies)):
         raise typer.Exit(NOT_THE_BEST)
 

@@ -55,7 +55,8 @@ def render_short(content: Content, *, all: bool = False) -> str:
     if has_row_for_each_policy(content) and not all:
         shown = first_notes(content.notes, stated_pairs(content))
         table = comparison_table(content)
-        more_rows = len(content.shown)
+        # the policies' own rows are in the table
+        more_rows = len(content.shown) - len(content.comparison)
     else:
         records = content.records if all else content.shown
         pairs = {(row["policy"], row["estimator"]) for row in records}
@@ -79,10 +80,13 @@ def render_comparison(report: Report, *, verbose: bool) -> str:
     content = report.content
     if not verbose:
         return render_short(content)
+    _, notes = number_notes(content, content.shown)
     return join(
         fold([content.headline]),
         comparison_in_full(content),
-        fold([*content.details, *inputs(content)]),
+        fold([*content.legend, *content.details]),
+        fold(notes, indent="    "),
+        fold(inputs(content)),
     )
 
 

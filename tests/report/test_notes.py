@@ -8,6 +8,7 @@ import pytest
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.findings import Finding, no_value
+from oee_tabular.report import render_comparison
 from oee_tabular.report.notes import RANKS, Rank, rank_notes
 
 SIMULATOR = oee.tasks.gridworld(5, 0.3)
@@ -59,6 +60,16 @@ def test_a_short_report_has_four_parts_and_loses_nothing(name):
     whole = " ".join(report.to_text(verbose=True, all=True).split())
     for note in every:
         assert " ".join(note.text.split()) in whole
+
+
+def test_the_long_comparison_has_every_note():
+    report = REPORTS["contest"]()
+    whole = " ".join(render_comparison(report, verbose=True).split())
+    for note in rank_notes(report):
+        assert " ".join(note.text.split()) in whole
+    short = render_comparison(report, verbose=False)
+    assert short == report.to_text()
+    assert re.search(r"Left out: \d notes? \(--verbose\)", short)
 
 
 def test_every_warning_has_the_kind_of_its_finding():
