@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 import oee_tabular as oee  # whose rooms are imported on use
+from oee_tabular import _writing
 from oee_tabular._arguments import named_specs
 from oee_tabular.cli.inputs import policy_of, read_box, read_problem
 from oee_tabular.cli.options import (
@@ -32,6 +33,7 @@ from oee_tabular.cli.options import (
 )
 from oee_tabular.continuous import is_continuous
 from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array
 
 NOTHING_TO_DEPLOY = 3  # the exit code of "keep" and "record"
 
@@ -106,21 +108,11 @@ def improve(
     """
     from oee_tabular.report import new_page
 
-    if is_continuous(simulator):
-        raise ArgumentError(
-            "--simulator",
-            f"must have numbered states to improve a policy; {simulator!r} is"
-            " continuous: oee evaluate",
-        )
+    _require_numbered_states(simulator)
     page = None
     if report is not None:
         page = new_page(report, "--report", overwrite=overwrite)
-    try:
-        factor = float(unrecorded)
-    except ValueError:
-        raise ArgumentError(
-            "--unrecorded", f"must be a number from 1 to inf; it is {unrecorded!r}"
-        ) from None
+    factor = _read_factor(unrecorded)
     known: dict[str, Any] = read_box(box)
     task, problem = read_problem(
         simulator,
@@ -133,21 +125,54 @@ def improve(
         rewards=rewards,
         column=column,
     )
-    runs = policy_of(running, task, "--running")
-    own = {
-        name: policy_of(spec, task, "--candidate")
-        for name, spec in named_specs(candidate or [], "--candidate").items()
-    }
     found = oee.improve(
         problem,
-        runs,
-        candidates=own or None,
+        policy_of(running, task, "--running"),
+        candidates=_read_candidates(candidate or [], task),
         confidence=confidence,
         unrecorded=factor,
         split=split,
         seed=seed,
         **known,
     )
+    _print_and_write(found, page, as_json)
+    if not found.deploy:
+        raise typer.Exit(NOTHING_TO_DEPLOY)
+
+
+def _require_numbered_states(simulator: str) -> None:
+    """Refuse a continuous task."""
+    if is_continuous(simulator):
+        raise ArgumentError(
+            "--simulator",
+            f"must have numbered states to improve a policy; {simulator!r} is"
+            " continuous: oee evaluate",
+        )
+
+
+def _read_factor(unrecorded: str) -> float:
+    """Read --unrecorded; ``oee.improve`` checks its range."""
+    try:
+        return float(unrecorded)
+    except ValueError:
+        raise ArgumentError(
+            "--unrecorded", f"must be a number from 1 to inf; it is {unrecorded!r}"
+        ) from None
+
+
+def _read_candidates(
+    specs: list[str], task: oee.tasks.NamedTask
+) -> dict[str, Array] | None:
+    """Read the policies that may be deployed; None where none are given."""
+    named = named_specs(specs, "--candidate")
+    own = {name: policy_of(spec, task, "--candidate") for name, spec in named.items()}
+    return own or None
+
+
+def _print_and_write(
+    found: oee.Improvement, page: _writing.Output | None, as_json: bool
+) -> None:
+    """Print a decision, and write its page."""
     file = None if page is None else str(page.path)
     try:
         print_result(str(found), found.to_dict() | {"file": file}, as_json)
@@ -158,5 +183,3 @@ def improve(
                 found.to_html(page.path)
     if page is not None and not as_json:
         say(f"\nWritten: {file}")
-    if not found.deploy:
-        raise typer.Exit(NOTHING_TO_DEPLOY)

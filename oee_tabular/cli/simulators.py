@@ -92,7 +92,6 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     """
     from oee_tabular.mdp import csr_from_entries
 
-    name = repr(path)
     state, action, following, probability, reward = _read_columns(path, columns)
     number, states = _number(np.concatenate([state, following]))
     codes, actions = _number(action)
@@ -105,7 +104,7 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     if twice.size:
         k = int(twice[0])
         raise ArgumentError(
-            f"{name}: row {k}",
+            f"{path!r}: row {k}",
             "must be the only one of its state, action and next_state;"
             f" {state[k]}, {action[k]}, {following[k]} has another",
         )
@@ -115,20 +114,7 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     rows = np.concatenate([rows, loops])
     to = np.concatenate([to, np.repeat(ends, n_actions)])
     zeros = np.zeros(len(loops))
-    lacking = np.setdiff1d(np.arange(shape[0]), rows)
-    if lacking.size:
-        s, a = divmod(int(lacking[0]), n_actions)
-        shown = [
-            s if states is None else states[s],
-            a if actions is None else actions[a],
-        ]
-        raise ArgumentError(
-            name,
-            "must have every action of a state that has one; state"
-            f" {shown[0]}, action {shown[1]} is not there ({lacking.size} such pairs;"
-            " of actions that cannot be taken, save one made by FiniteMDP(...,"
-            " available=))",
-        )
+    _require_every_action(path, rows, states, actions, (n_states, n_actions))
     return {
         "transitions": csr_from_entries(
             rows, to, np.concatenate([probability, zeros + 1]), shape
@@ -137,6 +123,31 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
         "state_names": states,
         "action_names": actions,
     }
+
+
+def _require_every_action(
+    path: str,
+    rows: Any,
+    states: list[Any] | None,
+    actions: list[Any] | None,
+    shape: tuple[int, int],
+) -> None:
+    """Raise an ArgumentError where a state has one action in the table but not all.
+
+    ``rows`` are the numbers s * A + a of the pairs that are there, ``shape`` is (S, A).
+    """
+    lacking = np.setdiff1d(np.arange(shape[0] * shape[1]), rows)
+    if not lacking.size:
+        return
+    s, a = divmod(int(lacking[0]), shape[1])
+    state = s if states is None else states[s]
+    action = a if actions is None else actions[a]
+    raise ArgumentError(
+        repr(path),
+        f"must have every action of a state that has one; state {state}, action"
+        f" {action} is not there ({lacking.size} such pairs; of actions that cannot be"
+        " taken, save one made by FiniteMDP(..., available=))",
+    )
 
 
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:

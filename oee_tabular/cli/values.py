@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,16 +11,19 @@ import typer
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files, _progress, _writing
 from oee_tabular._arguments import literal, named_specs
+from oee_tabular.cli.evaluation import (
+    Asked,
+    evaluate_asked,
+    read_knob,
+    read_outputs,
+    refuse_beside_quick,
+    write_report,
+)
 from oee_tabular.cli.inputs import (
-    count_log_files,
     policies_of,
     policy_of,
     read_box,
-    read_columns,
-    read_entries,
     read_problem,
-    read_success,
-    task_of,
     write_array,
 )
 from oee_tabular.cli.options import (
@@ -57,10 +58,7 @@ from oee_tabular.cli.options import (
     say,
 )
 from oee_tabular.continuous import (
-    evaluate_files,
     is_continuous,
-    read_grid,
-    task_options,
 )
 from oee_tabular.exceptions import ArgumentError
 
@@ -70,8 +68,6 @@ if TYPE_CHECKING:
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 # the exit code of `compare --expect-best` where the first policy is not the best
 NOT_THE_BEST = 3
-# what these options are when they are not given
-DEFAULTS = (None, 0.0, "refuse", "simulator")
 
 
 def evaluate(
@@ -206,7 +202,7 @@ def evaluate(
         bool,
         typer.Option(
             "--verbose",
-            help="Print every note and the columns of diagnostics.",
+            help="Print every note and row, and diagnostics.",
             rich_help_panel=OUTPUT,
         ),
     ] = False,
@@ -237,33 +233,37 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    from oee_tabular.report import render_intervals
-
-    title, outputs = _read_outputs(output, report, overwrite=overwrite)
-    settings = task_options(task_option)
-    cells = read_grid(grid)
-    _refuse_task_options(simulator, settings, cells, fit, history)
-    # options that need a simulator whose states are numbered, and a log
-    for_files: dict[str, object] = {
-        "--features": features,
-        "--tie": tie,
-        "--box": box,
-        "--action-noise": action_noise,
-        "--initial": initial,
-        "--impossible": impossible,
-        "--trials": trials,
-        "--success": success,
-    }
-    knob = _read_knob(unrecorded, interval_seconds)
-    _refuse_beside_quick(guaranteed is False, box, unrecorded, interval_seconds)
-    common: dict[str, Any] = {
-        "confidence": confidence,
-        "seed": seed,
-        "guaranteed": guaranteed is True,
-        "quick": guaranteed is False,
-        "estimators": None if estimators is None else _split_names(estimators),
-        "normalized": bool(normalized),
-    }
+    title, outputs = read_outputs(output, report, overwrite=overwrite)
+    asked = Asked(
+        simulator=simulator,
+        log=log,
+        column=column,
+        policy=policy,
+        history=history,
+        fit=fit,
+        behavior=behavior,
+        target=target,
+        initial=initial,
+        action_noise=action_noise,
+        impossible=impossible,
+        trials=trials,
+        success=success,
+        features=features,
+        tie=tie,
+        grid=grid,
+        task_option=task_option,
+        box=box,
+        horizon=horizon,
+        discount=discount,
+        normalized=normalized,
+        estimators=estimators,
+        rewards=rewards,
+        confidence=confidence,
+        guaranteed=guaranteed,
+        unrecorded=unrecorded,
+        interval_seconds=interval_seconds,
+        seed=seed,
+    )
     is_shown: list[bool] = []
 
     def show(report: Report) -> None:
@@ -271,343 +271,18 @@ def evaluate(
         is_shown.append(True)
         say(report.to_text(all=show_all, verbose=verbose))
 
-    if simulator is None and not log:
-        _refuse_given(
-            {"--column": column, "--behavior": behavior, "--target": target}
-            | for_files,
-            "needs --simulator and --log",
-        )
-        common["normalized"] = normalized is not False
-        made = _evaluate_example(
-            policy,
-            horizon=horizon,
-            discount=discount,
-            rewards=rewards,
-            common=common | knob,
-        )
-    elif simulator is None or not log:
-        given, missing = ("log", "simulator") if log else ("simulator", "log")
-        raise ArgumentError(
-            f"--{missing}",
-            f"must be given with --{given} (record a log with: oee sample)",
-        )
-    elif is_continuous(simulator):
-        common["fit"] = fit.split(",") if fit else fit
-        common["history"] = literal(history, "--history")
-        _refuse_given(
-            {
-                "--rewards": rewards,
-                "--unrecorded": unrecorded,
-                "--interval-seconds": interval_seconds,
-            }
-            | for_files,
-            "must be left out for a continuous task, whose states have no numbers; it"
-            " is {}",
-        )
-        made = evaluate_files(
-            simulator,
-            log,
-            policy,
-            behavior,
-            target,
-            settings,
-            grid=cells,
-            columns=read_columns(column, log),
-            horizon=horizon,
-            discount=0.99 if discount is None else discount,
-            **common,
-        )
-    else:
-        made = _evaluate_finite(
-            simulator,
-            log,
-            policy,
-            column=column,
-            behavior=behavior,
-            target=target,
-            initial=initial,
-            action_noise=action_noise,
-            impossible=impossible,
-            trials=trials,
-            success=success,
-            features=features,
-            tie=tie,
-            box=box,
-            horizon=horizon,
-            discount=discount,
-            rewards=rewards,
-            common=common | knob,
-            show=None if as_json else show,
-        )
+    made = evaluate_asked(asked, None if as_json else show)
     record = made.to_dict() if as_json else {}
     shown = made.to_text(all=show_all, verbose=verbose)
     if is_shown:
-        shown = f"\n{render_intervals(made)}"
+        shown = f"\n{oee.report.render_intervals(made, verbose=verbose)}"
     try:
         print_result(shown, record, as_json)
     finally:
         # the files are written whatever becomes of standard output
-        written = _write_report(made, outputs, title)
+        written = write_report(made, outputs, title)
     if written and not as_json:
         say(f"\nWritten: {', '.join(map(str, written))}")
-
-
-def _read_outputs(
-    folder: Path | None, report: str | None, *, overwrite: bool
-) -> tuple[str | None, list[_writing.Output]]:
-    """Split TITLE=FILE.html, and check that folder and page can be written."""
-    from oee_tabular.report import ReportOutput, new_page
-
-    outputs: list[_writing.Output] = []
-    if folder is not None:
-        outputs.append(ReportOutput(folder, "--output", overwrite=overwrite))
-    if report is None:
-        return None, outputs
-    title, _, name = report.rpartition("=")
-    text = name or report
-    path = Path(text)
-    if title and _is_place_of_page(Path(report), report):
-        if _is_place_of_page(path, report):
-            raise ArgumentError(
-                "--report",
-                f"must be clear; {report!r} and {name!r} can both be the file (write"
-                f" {title}=./{name}, or ./{report})",
-            )
-        title = ""
-        text = report
-        path = Path(report)
-    page = new_page(path, "--report", overwrite=overwrite)
-    if folder is not None and os.path.realpath(folder) == os.path.realpath(page.path):
-        raise ArgumentError(
-            "--report", f"must be no folder; {text!r} is the folder of --output"
-        )
-    return title or None, [*outputs, page]
-
-
-def _is_place_of_page(page: Path, text: str) -> bool:
-    """Say whether a page is there, or, of a text like a=b/c.html, its folder is."""
-    has_folder = "=" in str(Path(text).parent) and page.parent.is_dir()
-    return page.is_file() or has_folder
-
-
-def _split_names(text: str) -> list[str]:
-    """Split names at commas."""
-    parts = [part.strip() for part in text.split(",")]
-    return [part for part in parts if part]
-
-
-def _refuse_task_options(
-    simulator: str | None,
-    settings: Mapping[str, object],
-    cells: object,
-    fit: str | None,
-    history: str,
-) -> None:
-    """Refuse options of continuous tasks if the simulator is none."""
-    is_given = {
-        "--task-option": bool(settings),
-        "--grid": cells is not None,
-        "--fit": bool(fit),
-        "--history": history != "auto",
-    }
-    given = [option for option in is_given if is_given[option]]
-    if not given or is_continuous(simulator):
-        return
-    if simulator is not None:
-        task_of(simulator)  # a simulator that does not exist is the better error
-    raise ValueError(
-        f"{given[0]} needs a continuous task (--simulator cartpole:gravity=10)"
-    )
-
-
-def _read_knob(
-    unrecorded: str | None, interval_seconds: float | None
-) -> dict[str, float]:
-    """Read --unrecorded and --interval-seconds; return those that were given."""
-    knob: dict[str, float] = {}
-    if unrecorded is not None:
-        try:
-            knob["unrecorded"] = float(unrecorded)
-        except ValueError:
-            raise ArgumentError(
-                "--unrecorded", f"must be a number from 1 to inf; it is {unrecorded!r}"
-            ) from None
-        if not knob["unrecorded"] >= 1.0:
-            raise ArgumentError(
-                "--unrecorded", f"must be in [1, inf]; it is {unrecorded}"
-            )
-    if interval_seconds is not None:
-        if not 0.0 < interval_seconds < math.inf:
-            raise ArgumentError(
-                "--interval-seconds",
-                f"must be a number of seconds above 0; it is {interval_seconds:g}"
-                " (--quick leaves the intervals out)",
-            )
-        knob["interval_seconds"] = interval_seconds
-    return knob
-
-
-def _refuse_beside_quick(
-    quick: bool,
-    box: str | None,
-    unrecorded: str | None,
-    interval_seconds: float | None,
-) -> None:
-    """Refuse what is about intervals beside --quick; a box may be none."""
-    if read_box(box) and quick:
-        raise ArgumentError(
-            "--quick",
-            "must be left out with --box: it leaves out the intervals that a box"
-            " narrows",
-        )
-    if not quick:
-        return
-    if unrecorded is not None and math.isinf(float(unrecorded)):
-        raise ArgumentError(
-            "--quick",
-            "must be left out with --unrecorded inf: it leaves out the search for this"
-            " worst case",
-        )
-    if interval_seconds is not None:
-        raise ArgumentError(
-            "--quick",
-            "must be left out with --interval-seconds: it leaves out the search that"
-            " this is about",
-        )
-
-
-def _refuse_given(options: Mapping[str, object], rule: str) -> None:
-    """Refuse the first of these options that has another value than its default."""
-    for option, value in options.items():
-        if value not in DEFAULTS:
-            raise ArgumentError(option, rule.format(value))
-
-
-def _evaluate_example(
-    policy: list[str] | None,
-    *,
-    horizon: int | None,
-    discount: float | None,
-    rewards: Any,
-    common: Mapping[str, Any],
-) -> Report:
-    """Evaluate the paper's grid, which needs no files."""
-    default = oee.tasks.embedded_default(
-        seed=common["seed"], discount=0.99 if discount is None else discount
-    )
-    problem = oee.Problem(
-        default.simulator,
-        default.log,
-        horizon=default.horizon if horizon is None else horizon,
-        rewards=rewards,
-        episodes=default.episodes,
-        behavior_policy=default.behavior_policy,
-    )
-    policies: Any = default.policies
-    if policy is not None:
-        policies = policies_of(policy, task_of("gridworld:10,slip=0.3", discount))
-    return oee.evaluate(problem, policies, target=default.target, **common)
-
-
-def _evaluate_finite(
-    simulator: str,
-    log: list[str],
-    policy: list[str] | None,
-    *,
-    column: list[str] | None,
-    behavior: str | None,
-    target: str | None,
-    initial: str | None,
-    action_noise: float,
-    impossible: str,
-    trials: str | None,
-    success: list[str] | None,
-    features: Path | None,
-    tie: Path | None,
-    box: str | None,
-    horizon: int | None,
-    discount: float | None,
-    rewards: str,
-    common: Mapping[str, Any],
-    show: Callable[[Report], object] | None,
-) -> Report:
-    """Evaluate policies by the files of a simulator and a log."""
-    from oee_tabular.report import evaluate_showing
-    from oee_tabular.report.page import date_of
-
-    task, problem = read_problem(
-        simulator,
-        log,
-        discount=discount,
-        initial=initial,
-        action_noise=action_noise,
-        impossible=impossible,
-        horizon=horizon,
-        rewards=rewards,
-        behavior=behavior,
-        column=column,
-        trials=trials,
-        success=success,
-    )
-    specs = named_specs(policy or ["optimal"])
-    facts: dict[str, Any] = {
-        "simulator_name": simulator,
-        "log_name": ", ".join(log),
-        "log_files": log,
-        "number_of_log_files": count_log_files(log, problem.log),
-        "action_noise": action_noise,
-        "policy_names": specs,
-        "date": date_of([simulator, *log, *specs.values()]),
-    }
-    if initial is not None:
-        facts["initial"] = initial
-    if impossible != "refuse":
-        facts["impossible"] = impossible
-    if column:
-        facts["columns"] = ", ".join(column)
-    if discount is not None:
-        facts["discount"] = discount
-    if success:
-        facts["success"] = ", ".join(success)
-    if action_noise:
-        facts["simulator"] = (
-            f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
-        )
-    known: dict[str, Any] = read_box(box)
-    for name, path in (("features", features), ("tie", tie)):
-        if path is not None:
-            known[name], content = read_entries(path, name, task.mdp)
-            facts[name] = f"{path} ({content})"
-    true_mdp = None
-    if target is not None:
-        known_discount = discount if success else task.mdp.discount
-        true_mdp = task_of(target, known_discount, initial).mdp
-        if success:
-            true_mdp = read_success(success, true_mdp, discount, rewards)
-    return evaluate_showing(
-        problem,
-        policies_of(policy, task),
-        show,
-        facts=facts,
-        target=true_mdp,
-        **known,
-        **common,
-    )
-
-
-def _write_report(
-    report: Report, outputs: Sequence[_writing.Output], title: str | None
-) -> list[Path]:
-    """Write the folder and the page of a report; return the files."""
-    written: list[Path] = []
-    for output in outputs:
-        with output.writing():
-            if output.name == "--output":
-                written += report.save(output.path)
-            else:
-                report.to_html(output.path, title=title)
-                written.append(output.path)
-    return written
 
 
 def compare(
@@ -650,6 +325,14 @@ def compare(
             rich_help_panel=OUTPUT,
         ),
     ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose",
+            help="Print every note.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say which of several policies is worth most.
@@ -659,6 +342,42 @@ def compare(
     """
     from oee_tabular.report import contest_showing, render_comparison
 
+    _require_contest(simulator, policy)
+    refuse_beside_quick(quick, box, unrecorded, interval_seconds)
+    known: dict[str, Any] = read_box(box) | read_knob(unrecorded, interval_seconds)
+    task, problem = read_problem(
+        simulator,
+        log,
+        discount=discount,
+        initial=initial,
+        action_noise=action_noise,
+        impossible=impossible,
+        horizon=horizon,
+        rewards=rewards,
+        column=column,
+    )
+
+    def show(report: Report) -> None:
+        """Print the answer of a large problem before its intervals are known."""
+        say(f"{render_comparison(report, verbose=verbose)}\n")
+
+    report = contest_showing(
+        problem,
+        policies_of(policy, task),
+        None if as_json else show,
+        confidence=confidence,
+        quick=quick,
+        **known,
+    )
+    warnings = [str(finding) for finding in problem.findings]
+    shown = render_comparison(report, verbose=verbose)
+    print_result(shown, _record_contest(report, warnings), as_json)
+    if expect_best and report.best != next(iter(report.policies)):
+        raise typer.Exit(NOT_THE_BEST)
+
+
+def _require_contest(simulator: str, policy: list[str]) -> None:
+    """Refuse a continuous task, and a single policy."""
     if is_continuous(simulator):
         raise ArgumentError(
             "--simulator",
@@ -671,39 +390,12 @@ def compare(
             "must be given twice or more, for there is nothing to compare; there is"
             f" {policy[0]!r}",
         )
-    _refuse_beside_quick(quick, box, unrecorded, interval_seconds)
-    known: dict[str, Any] = read_box(box) | _read_knob(unrecorded, interval_seconds)
-    task, problem = read_problem(
-        simulator,
-        log,
-        discount=discount,
-        initial=initial,
-        action_noise=action_noise,
-        impossible=impossible,
-        horizon=horizon,
-        rewards=rewards,
-        column=column,
-    )
-    policies = policies_of(policy, task)
 
-    def show(report: Report) -> None:
-        """Print the answer of a large problem before its intervals are known."""
-        say(f"{render_comparison(report)}\n")
 
-    report = contest_showing(
-        problem,
-        policies,
-        None if as_json else show,
-        confidence=confidence,
-        quick=quick,
-        **known,
-    )
-    warnings = [str(finding) for finding in problem.findings]
-    lines = [render_comparison(report)]
-    if warnings:
-        lines += ["", *warnings]
+def _record_contest(report: Report, warnings: Sequence[str]) -> dict[str, Any]:
+    """Return what ``oee compare --json`` prints."""
     rows = report.comparison()
-    record = {
+    return {
         "confidence": report.confidence,
         "best": report.best,
         "sentence": report.headline,
@@ -711,9 +403,6 @@ def compare(
         "differences": [_difference(row, rows[0]["policy"]) for row in rows[1:]],
         "warnings": warnings,
     }
-    print_result("\n".join(lines), record, as_json)
-    if expect_best and report.best != next(iter(policies)):
-        raise typer.Exit(NOT_THE_BEST)
 
 
 def _difference(row: Mapping[str, Any], best: str) -> dict[str, Any]:
@@ -802,9 +491,7 @@ def plan(
         file = _files.new_file(
             output, "--output", overwrite=overwrite, endings=(".npy",)
         )
-    settings = named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS)
-    asked: dict[str, Any] = {name: literal(text) for name, text in settings.items()}
-    asked |= read_box(box)
+    asked = _read_plan_options(plan_option or []) | read_box(box)
     task, problem = read_problem(
         simulator,
         log,
@@ -815,30 +502,38 @@ def plan(
         horizon=horizon,
         column=column,
     )
-    policies = policies_of(policy, task)
     if minus is not None:
         asked["minus"] = policy_of(minus, task, "--minus")
     _progress.report_step(f"plan for {transitions} transitions")
     made = oee.plan_data_collection(
         problem,
-        policies,
+        policies_of(policy, task),
         n=transitions,
         sampling="free" if free else "behavior",
         confidence=confidence,
         **asked,
     )
-    text = str(made)
+    lines = [str(made)]
     record = made.to_dict() | {"file": None if output is None else str(output)}
     if file is not None:
-        what = "shares of the pairs, (S, A), that sum to 1"
-        with file.writing():
-            if free:
-                write_array(file.path, made.distribution)
-            else:
-                write_array(file.path, made.behavior_policy)
-                what = "policy to record with"
-        text += f"\n{output}: {what}"
-    print_result(text, record, as_json)
+        lines.append(f"{output}: {_save_plan(made, file, free=free)}")
+    print_result("\n".join(lines), record, as_json)
+
+
+def _read_plan_options(texts: list[str]) -> dict[str, Any]:
+    """Read the settings of a plan by their names."""
+    settings = named_specs(texts, "--plan-option", PLAN_OPTIONS)
+    return {name: literal(text) for name, text in settings.items()}
+
+
+def _save_plan(made: oee.design.Plan, file: _writing.Output, *, free: bool) -> str:
+    """Save what a plan says to record; return what the file holds."""
+    with file.writing():
+        if free:
+            write_array(file.path, made.distribution)
+            return "shares of the pairs, (S, A), that sum to 1"
+        write_array(file.path, made.behavior_policy)
+        return "policy to record with"
 
 
 # ---- studies

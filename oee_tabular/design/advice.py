@@ -12,7 +12,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.design.costs import row_costs
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import reweight
-from oee_tabular.mdp import Names
+from oee_tabular.mdp import Names, place_names
 from oee_tabular.ratio import Conditional
 from oee_tabular.ratio.dual import Box
 from oee_tabular.typing import Array, BoolArray
@@ -87,18 +87,7 @@ def advice_sentence(
 
 def describe_pair(names: Names, state: int, action: int) -> str:
     """Name a state-action pair, as in "action left in state hall"."""
-    return (
-        f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
-    )
-
-
-def _quote(name: str) -> str:
-    """Quote a name of several words, so that a reader sees where it ends.
-
-    Coordinates have their brackets instead.
-    """
-    has_brackets = name.startswith("(")
-    return f"“{name}”" if " " in name and not has_brackets else name
+    return names.describe_pair(state, action)
 
 
 def advice(
@@ -134,6 +123,6 @@ def advice(
         table.reshape(-1, *shape),
         counts.reshape(shape),
         optimistic.reshape(shape),
-        mdp.names,
+        place_names(mdp),
         of="value" if minus is None else "gain",
     )

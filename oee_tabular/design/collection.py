@@ -29,6 +29,7 @@ from oee_tabular.mdp import (
     FiniteMDP,
     check_policy,
     optional_horizon_length,
+    place_names,
     split_policies,
     uniform_policy,
 )
@@ -290,7 +291,7 @@ def plan_data_collection(
         model=source,
         solver=solved_by,
         status=status,
-        names=mdp.names,
+        names=place_names(mdp),
         is_gain=subtracted is not None,
     )
 

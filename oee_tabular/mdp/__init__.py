@@ -78,6 +78,7 @@ from oee_tabular.mdp.naming import renumber as renumber
 from oee_tabular.mdp.naming import suggest_name as suggest_name
 from oee_tabular.mdp.naming import to_plain as to_plain
 from oee_tabular.mdp.naming import to_text as to_text
+from oee_tabular.mdp.places import place_names as place_names
 from oee_tabular.mdp.policies import check_policies as check_policies
 from oee_tabular.mdp.policies import check_policy, mix, uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy as deterministic_policy

@@ -57,6 +57,33 @@ class Names:
         """Describe a transition, ``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(next_state)}"
 
+    def describe_state(self, state: int) -> str:
+        """Name a state in a sentence, as in "state hall"."""
+        return f"state {_quote(self.state(state))}"
+
+    def describe_action(self, action: int) -> str:
+        """Name an action in a sentence, as in "action left"."""
+        return f"action {_quote(self.action_word(action) or self.action(action))}"
+
+    def describe_pair(self, state: int, action: int) -> str:
+        """Name a state-action pair in a sentence, as in "action left in state hall"."""
+        return f"{self.describe_action(action)} in {self.describe_state(state)}"
+
+    def label_pair(self, state: int, action: int) -> str:
+        """Name a state-action pair in a table, as in "left in state hall"."""
+        word = self.action_word(action)
+        if word is None:
+            return self.describe_pair(state, action)
+        return f"{_quote(word)} in {self.describe_state(state)}"
+
+    def is_named(self, state: int) -> bool:
+        """Return whether a sentence calls a state by something else than its number."""
+        return self.states is not None
+
+    def action_word(self, action: int) -> str | None:
+        """Return the name of an action; None where it has only a number."""
+        return None if self.actions is None else self.action(action)
+
 
 NAMELESS = Names()
 # letters of Cyrillic and Greek, and dashes, that look like those on the right
@@ -78,6 +105,15 @@ def names_of(mdp: object) -> Names:
     """Return the names that an MDP, or what stands for one, has."""
     names: Names = getattr(mdp, "names", NAMELESS)
     return names
+
+
+def _quote(name: str) -> str:
+    """Quote a name of several words, so that a reader sees where it ends.
+
+    Coordinates have their brackets instead.
+    """
+    has_brackets = name.startswith("(")
+    return f"“{name}”" if " " in name and not has_brackets else name
 
 
 def name_text(names: tuple[Name, ...] | None, number: Any) -> str:

@@ -9,13 +9,15 @@ from oee_tabular.report.evaluation import contest, evaluate
 from oee_tabular.report.evaluation import contest_showing as contest_showing
 from oee_tabular.report.evaluation import evaluate_showing as evaluate_showing
 from oee_tabular.report.evaluation import group_findings as group_findings
+from oee_tabular.report.evaluation import kinds_of_findings as kinds_of_findings
 from oee_tabular.report.evaluation import number_notes as number_notes
 from oee_tabular.report.files import ReportOutput as ReportOutput
 from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.files import new_page as new_page
 from oee_tabular.report.files import plain as plain
 from oee_tabular.report.files import summary as summary
-from oee_tabular.report.results import Report, Result
+from oee_tabular.report.results import Report
+from oee_tabular.report.rows import Result
 from oee_tabular.report.selection import is_best_in_log as is_best_in_log
 from oee_tabular.report.tables import render_comparison as render_comparison
 from oee_tabular.report.tables import render_intervals as render_intervals

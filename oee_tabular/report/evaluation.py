@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any, TypeAlias, TypedDict, Unpack
 
@@ -48,7 +48,9 @@ from oee_tabular.inference.trials import (
 )
 from oee_tabular.mdp import FiniteMDP, check_policies, require_same_available
 from oee_tabular.report import text
-from oee_tabular.report.results import Report, Result, first_results
+from oee_tabular.report.notes import ASIDE, LEFT_OUT
+from oee_tabular.report.results import Report
+from oee_tabular.report.rows import Result, first_results
 from oee_tabular.report.selection import is_best_in_log
 from oee_tabular.report.uncertainty import (
     LIKELIHOOD,
@@ -228,8 +230,8 @@ def evaluate(
     >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
-    >>> report.uncertainty.sentences[0].partition(":")[0]
-    'The recorded transitions reject the simulator'
+    >>> report.uncertainty.sentences[0].partition(".")[0]
+    'The target differs from the simulator'
     """
     return evaluate_showing(
         problem,
@@ -283,6 +285,118 @@ def evaluate_showing(
     _check_problem_and_flags(
         problem, normalized=normalized, guaranteed=guaranteed, quick=quick
     )
+    known = Premises(lower_ratio, upper_ratio, tie, features, unrecorded)
+    request = _check_request(
+        problem,
+        policies,
+        known,
+        estimators=estimators,
+        confidence=confidence,
+        seed=seed,
+        normalized=normalized,
+        target=target,
+        facts=facts,
+        interval_seconds=interval_seconds,
+        quick=quick,
+    )
+    seconds = request.seconds
+    started = time.monotonic()
+    rows = _estimate(request)
+    if quick:
+        return _write_report(request, rows, text.QUICK, guaranteed, seconds)
+    if show is None or not _is_large(problem):
+        return _write_report(request, rows, "", guaranteed, seconds)
+    show(_write_report(request, rows, text.SEARCHED_NEXT, False, None))
+    if seconds is None:
+        seconds = max(time.monotonic() - started, MIN_INTERVAL_SECONDS)
+    return _write_report(request, rows, "", guaranteed, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """Hold what ``evaluate`` was asked for, after all checks.
+
+    Attributes
+    ----------
+    problem : Problem
+        The simulator and the log.
+    named : dict of str to ndarray of shape (S, A)
+        The policies by name.
+    known : Premises
+        What the user knows of the target.
+    level : float
+        The level of the intervals.
+    chosen : dict of str to estimator
+        The estimators by name.
+    left_out : tuple of str
+        A sentence on each default estimator that is left out.
+    truth : dict of str to float
+        The exact values, where the target is known.
+    facts : dict of str to value
+        The facts of the report.
+    seed : Seed
+        The seed.
+    normalized : bool
+        Whether the report multiplies values by (1 - discount).
+    seconds : float or None
+        The time in which likelihood intervals are searched for.
+    has_default_rows : bool
+        Whether no estimators were named.
+    """
+
+    problem: Problem
+    named: Mapping[str, Array]
+    known: Premises
+    level: float
+    chosen: Mapping[str, EstimatorLike]
+    left_out: tuple[str, ...]
+    truth: Mapping[str, float]
+    facts: Mapping[str, Any]
+    seed: SeedNumbers
+    normalized: bool
+    seconds: float | None
+    has_default_rows: bool
+
+    @property
+    def scale(self) -> float:
+        """Return the factor of all values in sentences: (1 - discount) or 1."""
+        return 1.0 - self.problem.simulator.discount if self.normalized else 1.0
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Hold what the estimators gave, before any interval is chosen.
+
+    Attributes
+    ----------
+    results : tuple of Result
+        The estimates.
+    left_out : tuple of str
+        A sentence on each estimator that is left out.
+    hidden : frozenset of (policy, estimator)
+        The results that a short table leaves out.
+    """
+
+    results: tuple[Result, ...]
+    left_out: tuple[str, ...]
+    hidden: frozenset[Pair]
+
+
+def _check_request(
+    problem: Problem,
+    policies: PoliciesLike,
+    known: Premises,
+    *,
+    estimators: EstimatorsLike | None,
+    confidence: float,
+    seed: SeedNumbers,
+    normalized: bool,
+    target: FiniteMDP | None,
+    facts: Mapping[str, Any] | None,
+    interval_seconds: float | None,
+    quick: bool,
+) -> _Request:
+    """Check the arguments of ``evaluate``, and compute what needs no estimator."""
     if facts is not None:
         conform(facts, "facts", Mapping[str, Any])
     simulator = problem.simulator
@@ -298,8 +412,7 @@ def evaluate_showing(
     if not named:
         raise ArgumentError("policies", "must hold at least one; it is empty")
     require_tried(problem, named)
-    known = Premises(lower_ratio, upper_ratio, tie, features, unrecorded)
-    check_factor(unrecorded, has_box=known.has_box)
+    check_factor(known.unrecorded, has_box=known.has_box)
     seconds = check_seconds(interval_seconds, "interval_seconds")
     _refuse_beside_quick(known, interval_seconds, quick=quick)
     chosen, left_out = _choose_estimators(problem, estimators, target)
@@ -309,51 +422,36 @@ def evaluate_showing(
             name: policy_value(target, pi, horizon=problem.horizon)
             for name, pi in named.items()
         }
-    about = _describe_premises(problem, known) | dict(facts or {})
-    started = time.monotonic()
+    return _Request(
+        problem,
+        named,
+        known,
+        level,
+        chosen,
+        tuple(left_out),
+        truth,
+        _describe_premises(problem, known) | dict(facts or {}),
+        seed,
+        normalized,
+        seconds,
+        estimators is None,
+    )
+
+
+def _estimate(request: _Request) -> _Rows:
+    """Run the estimators; of the default ones leave out those without any weight."""
     with _progress.show_steps(only_terminal=True):
-        results = _run_estimators(problem, named, chosen | known.estimators, seed)
-        hidden: frozenset[Pair] = frozenset()
-        if estimators is None:
-            results, reasons = _drop_weightless(results)
-            left_out += reasons
-            hidden = _pairs_with_few_weights(results)
-
-    def write(missing: str, guaranteed: bool, seconds: float | None) -> Report:
-        """Write the report; ``missing`` says why it has no likelihood intervals."""
-        with _progress.show_steps(only_terminal=True):
-            found = find_intervals(
-                problem,
-                named,
-                level,
-                known,
-                guaranteed=guaranteed,
-                missing=missing,
-                seconds=seconds,
-            )
-            return _write_report(
-                problem,
-                named,
-                results,
-                chosen,
-                known,
-                found,
-                level=level,
-                normalized=normalized,
-                left_out=left_out,
-                truth=truth,
-                seed=seed,
-                facts=about,
-                hidden=hidden,
-            )
-
-    reason = "quick=True (--quick) leaves them out" if quick else ""
-    if show is None or quick or not _is_large(problem):
-        return write(reason, guaranteed, seconds)
-    show(write("they are searched for next", False, None))
-    if seconds is None:
-        seconds = max(time.monotonic() - started, MIN_INTERVAL_SECONDS)
-    return write("", guaranteed, seconds)
+        results = _run_estimators(
+            request.problem,
+            request.named,
+            {**request.chosen, **request.known.estimators},
+            request.seed,
+        )
+        if not request.has_default_rows:
+            return _Rows(tuple(results), request.left_out, frozenset())
+        results, reasons = _drop_weightless(results)
+        hidden = _pairs_with_few_weights(results)
+        return _Rows(tuple(results), (*request.left_out, *reasons), hidden)
 
 
 def _describe_premises(problem: Problem, known: Premises) -> dict[str, Any]:
@@ -393,55 +491,64 @@ def _refuse_beside_quick(
 
 
 def _write_report(
-    problem: Problem,
-    named: Mapping[str, Array],
-    results: Sequence[Result],
-    chosen: Mapping[str, EstimatorLike],
-    known: Premises,
-    uncertainty: Uncertainty,
-    *,
-    level: float,
-    normalized: bool,
-    left_out: Sequence[str],
-    truth: Mapping[str, float],
-    seed: SeedNumbers,
-    facts: Mapping[str, Any],
-    hidden: frozenset[Pair],
+    request: _Request,
+    rows: _Rows,
+    missing: str,
+    guaranteed: bool,
+    seconds: float | None,
 ) -> Report:
+    """Write the report; ``missing`` says why it has no likelihood intervals."""
+    with _progress.show_steps(only_terminal=True):
+        found = find_intervals(
+            request.problem,
+            request.named,
+            request.level,
+            request.known,
+            guaranteed=guaranteed,
+            missing=missing,
+            seconds=seconds,
+        )
+        return _put_together(request, rows, found)
+
+
+def _put_together(request: _Request, rows: _Rows, found: Uncertainty) -> Report:
     """Put estimates, intervals, comparison and notes together."""
-    simulator = problem.simulator
-    scale = 1.0 - simulator.discount if normalized else 1.0
+    problem = request.problem
+    named = request.named
+    level = request.level
+    scale = request.scale
     size = largest_reward(problem.model)
-    results = _choose_intervals(results, uncertainty, known, level, scale, size)
-    results = _add_trials(problem, named, results, uncertainty, level)
+    results = _choose_intervals(rows.results, found, request.known, level, scale, size)
+    results = _add_trials(problem, named, results, found, level)
     front = {name: result.estimate for name, result in first_results(results).items()}
     default = _default_estimates(
-        problem, named, results, chosen, uncertainty, level, scale, size
+        problem, named, results, request.chosen, found, level, scale, size
     )
     uncertainty = add_comparison(
-        uncertainty, problem, named, level, known, front, default, scale
+        found, problem, named, level, request.known, front, default, scale
     )
     effect = ""
     if problem.reward_conflict is not None:
         effect = text.reward_change(
             {name: scale * reward_effect(problem, pi) for name, pi in named.items()}
         )
-    warnings, notes = _collect_warnings(problem, results, left_out, effect)
+    warnings, notes = _collect_warnings(problem, results, rows.left_out, effect)
     return Report(
         tuple(results),
-        truth,
+        request.truth,
         warnings,
         notes,
         level,
-        normalized,
-        simulator.discount,
+        request.normalized,
+        problem.simulator.discount,
         problem.horizon,
-        seed,
-        facts,
+        request.seed,
+        request.facts,
         uncertainty,
         problem,
         named,
-        hidden,
+        rows.hidden,
+        _kinds_of_warnings(problem, results, rows.left_out),
     )
 
 
@@ -833,18 +940,40 @@ def _collect_warnings(
     return number_notes(results, [*warnings, *group_findings(results)])
 
 
-def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
-    """Write one sentence for all findings of one kind and text.
+def _kinds_of_warnings(
+    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the kind of each of the warnings of ``_collect_warnings``."""
+    kinds = [LEFT_OUT for _ in left_out]
+    for finding in problem.findings:
+        kinds.append(finding.kind if finding.severity > 0 else ASIDE)
+    return (*kinds, *kinds_of_findings(results))
 
-    With each sentence come the (policy, estimator) that it is about.
-    """
+
+def kinds_of_findings(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return the kind of each of the sentences of ``group_findings``."""
+    return tuple(kind for kind, _ in _group_members(results))
+
+
+def _group_members(
+    results: Sequence[Result],
+) -> dict[tuple[str, str], list[Member]]:
+    """Return the findings of one kind and text with their policies and estimators."""
     groups: dict[tuple[str, str], list[Member]] = {}
     for result in results:
         for finding in result.estimate.findings:
             group = groups.setdefault((finding.kind, finding.text), [])
             group.append((finding, result.policy, result.estimator))
+    return groups
+
+
+def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
+    """Write one sentence for all findings of one kind and text.
+
+    With each sentence come the (policy, estimator) that it is about.
+    """
     sentences = []
-    for members in groups.values():
+    for members in _group_members(results).values():
         worst = max(members, key=lambda member: member[0].severity)[0]
         sentence = worst.sentence(_write_figures(members))
         pairs = [(policy, estimator) for _, policy, estimator in members]

@@ -7,13 +7,13 @@ recording.
 
 from __future__ import annotations
 
+import base64
 import math
 import os
 import platform
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from importlib import metadata
@@ -23,25 +23,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import __version__, _files, _printing, plots
-from oee_tabular._checks import positive_integer, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.exact import time_in_pairs
-from oee_tabular.exceptions import ArgumentError, DivergentKernelError
-from oee_tabular.inference.changes import RowChanges, row_changes
-from oee_tabular.mdp import Names
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import draw_or_warn
-from oee_tabular.report import text
+from oee_tabular.report import columns, text
 from oee_tabular.report.files import plain
-from oee_tabular.report.tables import diagnostic_columns
+from oee_tabular.report.portrait import (
+    MAX_POLICIES,
+    MIN_SHARE_TO_CROSS_OUT,
+    WIDTH,
+    portray,
+)
+from oee_tabular.report.tooltips import Tooltip, draw_with_tooltips
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
-from oee_tabular.shrinkage import transition_ratio
-from oee_tabular.typing import Array, BoolArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from oee_tabular.report.results import Report
 
 EPOCH = "SOURCE_DATE_EPOCH"
@@ -55,11 +53,6 @@ LIBRARIES = (
     "matplotlib",
     "jinja2",
 )
-WIDTH = 4.6  # inches, at which text is readable on a phone as well
-MAX_POLICIES = 6  # that are drawn
-MAX_PAIRS = 10  # in the list of changes
-# the share of a policy's time from which a state with unrecorded actions is crossed out
-MIN_SHARE_TO_CROSS_OUT = 5e-4
 
 
 def render(
@@ -95,6 +88,7 @@ def render(
         "legible": legible,
         "share": _printing.share,
         "count": text.count,
+        "ranks": rank_rows,
     }
     best_first = [row["policy"] for row in report.comparison()]
     answers = sorted(
@@ -115,17 +109,25 @@ def render(
         level=text.format_level(report.confidence),
         portrait=portrait,
         draw_forest=draw_forest,
+        csv=csv_url(report),
         limits={"policies": MAX_POLICIES, "share": MIN_SHARE_TO_CROSS_OUT},
         command=plan_command(report),
         date=date(report),
         fingerprint=inputs,
-        diagnostics=diagnostic_columns(report),
+        diagnostics=columns.estimator_columns(report.content, columns.DIAGNOSTICS),
         versions=_versions(),
         estimators=NAMED,
         methods=text.METHODS,
-        columns=text.COLUMNS,
+        columns=_meanings(report),
     )
     return legible(page) + "\n"
+
+
+def _meanings(report: Report) -> dict[str, str]:
+    """Return what the columns mean whose titles do not say it."""
+    shown = columns.estimator_columns(report.content, columns.DIAGNOSTICS)
+    every = [columns.P_BEST_COLUMN, *shown]
+    return {column.title: column.meaning for column in every if column.meaning}
 
 
 def legible(words: object) -> str:
@@ -238,212 +240,7 @@ def plan_command(report: Report) -> str:
     return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
 
 
-# pictures
-
-
-@dataclass(frozen=True, eq=False)
-class Portrait:
-    """Draw the log and the policies, on the task's map where it has one.
-
-    Attributes
-    ----------
-    names : Names
-        The names of states and actions.
-    changes : RowChanges
-        The log's counts, of shape (S, A), and how far each pair is from the simulator.
-    over : ndarray of shape (S,)
-        Whether no action leaves the state.
-    time : dict of str to ndarray of shape (S, A)
-        The shares of each policy's discounted time before an episode ends, in the
-        simulator as the log corrects it; they sum to 1.
-    map : Map or None
-        Where the states lie.
-    available : ndarray of bool of shape (S, A)
-        Which actions can be taken in each state.
-    """
-
-    names: Names
-    changes: RowChanges
-    over: BoolArray
-    time: Mapping[str, Array]
-    map: plots.Map | None
-    available: BoolArray
-
-    @property
-    def alive(self) -> int:
-        """Return the number of states that can be left."""
-        return int((~self.over).sum())
-
-    @property
-    def never(self) -> int:
-        """Return in how many of these states the log has no transition."""
-        return int(((self.changes.counts.sum(axis=1) == 0) & ~self.over).sum())
-
-    @property
-    def alive_pairs(self) -> int:
-        """Return the number of state-action pairs of these states."""
-        return int(self.available[~self.over].sum())
-
-    @property
-    def missing_pairs(self) -> int:
-        """Return how many of the pairs of these states were never recorded."""
-        never = (self.changes.counts == 0) & self.available
-        return int(never[~self.over].sum())
-
-    def unrecorded(self, policy: str) -> Array:
-        """Return the part (S,) of a policy's time in unrecorded pairs of each state."""
-        unrecorded = np.where(self.changes.counts > 0, 0.0, self.time[policy])
-        return np.asarray(unrecorded.sum(axis=1))
-
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs with the largest certain change.
-
-        Where no change is certain, they are the pairs with the most evidence.
-        """
-        evidence = self.changes.evidence
-        order = np.argsort(-evidence, axis=None, kind="stable")[:MAX_PAIRS]
-        likely = (divmod(int(k), evidence.shape[1]) for k in order)
-        return self.changes.largest(MAX_PAIRS) or [
-            pair for pair in likely if evidence[pair] > 0
-        ]
-
-    def where(self, state: Any) -> str:
-        """Name a state, with its place on the map."""
-        place = None if self.map is None else self.map.place(int(state))
-        words = "" if place is None else f" (row {place[0]:.6g}, column {place[1]:.6g})"
-        return f"state {self.names.state(state)}{words}"
-
-    def longest(self, policy: str) -> list[str]:
-        """Name the states in which a policy spends most time."""
-        time = self.time[policy].sum(axis=1)
-        return [
-            f"{self.where(s)} {time[s]:.1%}"
-            for s in np.argsort(-time, kind="stable")[:5]
-            if time[s] > 0
-        ]
-
-    def plot_recorded(self, ax: Axes) -> Axes:
-        """Draw how many transitions the log has from each state."""
-        assert self.map is not None
-        return plots.plot_coverage(self.changes.counts, self.map, ax, over=self.over)
-
-    def plot_time(self, policy: str, ax: Axes) -> Axes:
-        """Draw where a policy spends its time, on the map or as a ranking of states."""
-        time = self.time[policy]
-        if self.map is not None:
-            crossed = self.unrecorded(policy) > MIN_SHARE_TO_CROSS_OUT
-            return plots.plot_occupancy(
-                time.sum(axis=1), self.map, ax, unrecorded=crossed, over=self.over
-            )
-        names = None
-        if self.names.states is not None:
-            names = [self.names.state(s) for s in range(len(time))]
-        return plots.plot_states(time, self.changes.counts, ax, names=names)
-
-    def plot_changes(self, ax: Axes) -> Axes:
-        """Draw by how much the target differs for certain.
-
-        Each state shows the largest change of its actions.
-        """
-        assert self.map is not None
-        least = 100.0 * self.changes.certain.max(axis=1)
-        shown = np.where(
-            self.over | (self.changes.counts.sum(axis=1) == 0), np.nan, least
-        )
-        words = [f"{x:.0f}" if x > 0 else "" for x in shown]
-        for state in np.flatnonzero(self.over):
-            words[state] = "end"
-        label = "transitions that end elsewhere, at least (%)"
-        return plots.plot_grid(shown, self.map, ax, text=words, label=label)
-
-    def draw(
-        self,
-        plot: Callable[..., Axes],
-        name: str,
-        title: str,
-        description: str,
-        *,
-        policy: str = "",
-    ) -> str:
-        """Draw a picture as wide as the others.
-
-        A map has square cells and a colour bar; a ranking has at most 20 bars.
-        """
-        if self.map is None:
-            n_states = int((self.time[policy].sum(axis=1) > 0).sum())
-            height = 1.1 + 0.25 * min(20, max(1, n_states))
-        else:
-            tall = (WIDTH - 1.3) * len(self.map.rows) / len(self.map.columns)
-            height = min(max(tall, 0.9) + 0.6, 7.0)
-        about = {"name": name, "title": title, "description": description}
-        drawn = draw_or_warn(
-            f"the picture {title!r}",
-            lambda: plots.figure_svg(
-                partial(plot, policy) if policy else plot, size=(WIDTH, height), **about
-            ),
-        )
-        return drawn or ""
-
-
-def portray(
-    problem: Problem,
-    policies: Mapping[str, Array],
-    confidence: float,
-    grid: tuple[int, int] | None,
-) -> Portrait:
-    """Make the portrait of a problem.
-
-    Without a ``grid`` the map is that of ``plots.map_of``.
-    """
-    simulator = problem.simulator
-    over = problem.simulator.closed()
-    shown = dict(list(policies.items())[:MAX_POLICIES])
-    zeta = transition_ratio(
-        problem.observed,
-        simulator,
-        values_of=list(shown.values()) or None,
-        horizon=problem.horizon,
-    )
-    model = zeta.target_model(simulator)
-    times = {}
-    for name, policy in shown.items():
-        try:
-            time = time_in_pairs(model, policy, problem.horizon)
-        except DivergentKernelError:  # at discount 1 a policy need not end
-            continue
-        time = np.where(over[:, None], 0.0, time)
-        times[name] = time / (float(time.sum()) or 1.0)
-    if grid is None:
-        places = plots.map_of(simulator)
-    else:
-        places = _read_grid(grid, simulator.n_states)
-    return Portrait(
-        simulator.names,
-        row_changes(problem, confidence=confidence),
-        over,
-        times,
-        places,
-        simulator.available,
-    )
-
-
-def _read_grid(grid: Any, n_states: int) -> plots.Map:
-    """Check a (rows, columns) against the number of states, and make the map."""
-    try:
-        rows, columns = grid
-    except (TypeError, ValueError):
-        raise ArgumentError(
-            "grid", f"must be (rows, columns); got {show(grid)}"
-        ) from None
-    shape = positive_integer(rows, "grid[0]"), positive_integer(columns, "grid[1]")
-    if shape[0] * shape[1] != n_states:
-        raise ArgumentError(
-            "grid",
-            f"must have as many cells as the simulator has states, {n_states}; {shape}"
-            f" has {shape[0] * shape[1]}",
-        )
-    return plots.Map.of_shape(*shape)
+# tables and pictures of values
 
 
 def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
@@ -486,6 +283,40 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
     return rows
 
 
+def tell_value(row: Mapping[str, Any], report: Report) -> str:
+    """Say the value and interval of a row, for its tooltip."""
+    ends = (row["lower"], row["upper"])
+    told = ""
+    if row["status"]:
+        told = f" {text.format_value(row['value'], *ends)}"
+    interval = ""
+    if ends[0] is not None:
+        level = text.format_level(report.confidence)
+        interval = f" ({level} interval: {text.format_interval(*ends)})"
+    return f"{row['estimator']}:{told}{interval}"
+
+
+def rank_rows(values: Sequence[float | None]) -> list[int]:
+    """Return the place of each row in the order of values, largest first, none last."""
+
+    def key(k: int) -> tuple[bool, float]:
+        """Return what a row is sorted by."""
+        value = values[k]
+        is_missing = value is None or math.isnan(value)
+        return is_missing, 0.0 if is_missing or value is None else -float(value)
+
+    places = [0] * len(values)
+    for place, k in enumerate(sorted(range(len(values)), key=key)):
+        places[k] = place
+    return places
+
+
+def csv_url(report: Report) -> str:
+    """Return the report's table as a data: URL of a CSV file."""
+    content = base64.b64encode(_files.csv_bytes(report.table)).decode()
+    return f"data:text/csv;charset=utf-8;base64,{content}"
+
+
 def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) -> str:
     """Draw the values and intervals of one policy, a line for each estimator."""
     policy = rows[0]["policy"]
@@ -505,8 +336,12 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
     if truth is not None:
         exact = f" The dashed line is the exact value, {text.format_number(truth)}."
     factor = "(1 − discount) × " if report.normalized else ""
+    tips = [
+        Tooltip(0.0, k - 0.5 + (truth is not None), 1.0, 1.0, tell_value(row, report))
+        for k, row in enumerate(rows)
+    ]
     draw = partial(
-        plots.figure_svg,
+        draw_with_tooltips,
         lambda ax: plots.plot_intervals(
             [row["estimator"] for row in rows],
             values,
@@ -517,6 +352,8 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
             limits=limits,
             xlabel=f"value: {factor}discounted sum of rewards",
         ),
+        tips,
+        across=True,
         name=name,
         size=(WIDTH, 0.85 + 0.31 * len(rows)),
         title=f"Values of {policy} in the target, with intervals",

@@ -1,4 +1,4 @@
-"""Results of an evaluation: ``Report`` and ``Result``, and their views and files."""
+"""The result of an evaluation, ``Report``: its content, and its views and files."""
 
 from __future__ import annotations
 
@@ -7,102 +7,35 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import __version__, _checks, _files
+from oee_tabular import _checks, _files
 from oee_tabular._results import checked
-from oee_tabular.data import TransitionCounts
-from oee_tabular.estimators import Estimate, Problem
-from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
-from oee_tabular.estimators.rewards import reward_effect
+from oee_tabular.estimators import Problem
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.inference import Interval
-from oee_tabular.inference.trials import METHOD as JOINED
 from oee_tabular.plots import draw_or_warn, figure_png, plot_values
 from oee_tabular.report import tables, text
-from oee_tabular.report.files import check_output, check_page, plain, write_report
+from oee_tabular.report.content import (
+    Content,
+    gather_content,
+    make_answers,
+    make_comparison,
+    make_dict,
+    make_record,
+    make_trials,
+    write_headline,
+)
+from oee_tabular.report.files import check_output, check_page, write_report
+from oee_tabular.report.rows import Result, first_results
 from oee_tabular.report.text import Answer
-from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty
+from oee_tabular.report.uncertainty import Uncertainty
 from oee_tabular.typing import Array, SeedNumbers
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-# of half an interval: rewards of the log that change a value by less are not named first
-NEGLIGIBLE_SHARE = 0.05
-# columns of the report's own that (1 - discount) multiplies; diagnostics know theirs
-VALUES = {
-    "value",
-    "standard_error",
-    "lower",
-    "upper",
-    "sampling_lower",
-    "sampling_upper",
-    "worst_case_lower",
-    "worst_case_upper",
-    "less_by",
-    "less_by_lower",
-    "less_by_upper",
-    "mean",
-    "trials_lower",
-    "trials_upper",
-    "log_lower",
-    "log_upper",
-    "true_value",
-    "error",
-}
-
-
-@checked()
-@dataclass(frozen=True)
-class Result:
-    """Hold one estimate of one policy with its name.
-
-    Attributes
-    ----------
-    policy : str
-        The name of the policy in the report.
-    estimator : str
-        The name of the estimator in the report.
-    estimate : Estimate
-        The value, a discounted sum of rewards. It is never multiplied by (1 -
-        discount).
-
-    Examples
-    --------
-    >>> Result("expert", "oee", Estimate(1.25, 0.5))
-    Result(policy='expert', estimator='oee', estimate=Estimate(1.25 ± 0.5 (standard error)))
-    """
-
-    policy: str
-    estimator: str
-    estimate: Estimate
-
-
-def first_results(results: Sequence[Result]) -> dict[str, Result]:
-    """Choose the result of each policy that a report states first.
-
-    A finite value goes before none, a value that the log corrects before others, and
-    the simulator's value comes last.
-    """
-
-    def order(result: Result) -> tuple[bool, bool, bool, bool]:
-        """Return a key that puts the result to be stated first before all others."""
-        found = result.estimate
-        return (
-            not math.isfinite(found.value),
-            not found.is_headline,
-            found.model_value is None,
-            not found.is_from_log,
-        )
-
-    names = dict.fromkeys(result.policy for result in results)
-    return {
-        name: min((result for result in results if result.policy == name), key=order)
-        for name in names
-    }
 
 
 @checked(levels=("confidence",))
@@ -148,6 +81,9 @@ class Report:
     hidden : frozenset of (policy, estimator)
         The results that a short table leaves out: importance sampling that rests on a
         few episodes.
+    kinds : tuple of str
+        The kind of each warning, such as that of its finding, which ranks it among the
+        notes. Warnings beyond its end are of no kind.
 
     See Also
     --------
@@ -188,6 +124,12 @@ class Report:
         default_factory=dict, repr=False, compare=False
     )
     hidden: frozenset[tuple[str, str]] = frozenset()
+    kinds: tuple[str, ...] = ()
+
+    @cached_property
+    def content(self) -> Content:
+        """Return what the report says as data, of which every form is a view."""
+        return gather_content(self)
 
     @property
     def unit(self) -> str:
@@ -223,46 +165,7 @@ class Report:
         The value is the one that the log corrects, where there is one, with its
         interval.
         """
-        answers = []
-        for policy, first in first_results(self.results).items():
-            row = self._record(first)
-            simulator = self._record_of_simulator(policy)
-            likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
-            unrecorded = 0
-            if likelihood is not None:
-                unrecorded = int(likelihood.diagnostics.get("unrecorded_pairs", 0))
-            assumption = ""
-            is_inner = False
-            if row["interval_method"] in (LIKELIHOOD, JOINED):
-                assumption = self.uncertainty.assumptions.get(policy, "")
-                about = {} if likelihood is None else likelihood.diagnostics
-                is_inner = about.get("inner_bounds_of") == "interval"
-            answers.append(
-                Answer(
-                    policy,
-                    row["estimator"],
-                    row["value"],
-                    row["lower"],
-                    row["upper"],
-                    row["interval_method"],
-                    simulator.get("value"),
-                    simulator.get("standard_error"),
-                    row["true_value"],
-                    row.get("coverage"),
-                    unrecorded,
-                    assumption,
-                    is_inner,
-                    first.estimate.is_from_log,
-                )
-            )
-        return answers
-
-    def _record_of_simulator(self, policy: str) -> dict[str, Any]:
-        """Return the first record of a policy that uses the simulator alone, or {}."""
-        for result in self.results:
-            if result.policy == policy and not result.estimate.is_from_log:
-                return self._record(result)
-        return {}
+        return make_answers(self)
 
     @property
     def headline(self) -> str:
@@ -274,56 +177,12 @@ class Report:
         could not be read where they are more than 1%; rewards that were rounded, or
         change each value by less than a twentieth of half its interval, are not.
         """
-        silent = self.uncertainty.unanswered
-        answers = [
-            answer
-            for answer in self.answers
-            if math.isfinite(answer.value) and answer.policy not in silent
-        ]
-        if not answers:
-            return self.uncertainty.caveat or text.NO_VALUE
-        sentences = [text.policy_worth(answer, self.confidence) for answer in answers]
-        if len(self.answers) > 1 and self.uncertainty.ranking:
-            sentences = [text.silent_log(answers), self.uncertainty.ranking]
-        sentences.insert(0, self.uncertainty.caveat)
-        # rewards of the log cannot contradict the log
-        conflict = None
-        if self.problem is not None and self.problem.rewards != "log":
-            conflict = self.problem.reward_conflict
-        if conflict is not None and not self._is_conflict_small(answers):
-            where = str(conflict)
-            where = f"{where[0].upper()}{where[1:]}"
-            sentences.insert(0, text.REWARD_CONFLICT.format(where))
-        sentences.insert(0, self._lost_rows())
-        return " ".join(filter(None, sentences))
+        return write_headline(self, text.policy_worth)
 
-    def _lost_rows(self) -> str:
-        """Return which part of the log could not be read, empty where it is small."""
-        log = self.problem.log if self.problem is not None else None
-        if not isinstance(log, TransitionCounts):
-            return ""
-        lost = log.recording.dropped
-        share = lost / max(lost + len(log), 1)
-        if share <= MAX_UNREAD_SHARE:
-            return ""
-        return text.ROWS_LOST.format(rows=lost, all=lost + len(log), share=share)
-
-    def _is_conflict_small(self, answers: Sequence[Answer]) -> bool:
-        """Say whether the log's rewards are rounded, or matter to no value."""
-        problem = self.problem
-        if problem is None or problem.reward_conflict is None:
-            return True
-        if problem.reward_conflict.is_rounding:
-            return True
-        for answer in answers:
-            known = answer.policy in self.policies
-            if answer.lower is None or answer.upper is None or not known:
-                return False
-            width = 0.5 * (answer.upper - answer.lower)
-            effect = reward_effect(problem, self.policies[answer.policy]) * self.scale
-            if not abs(effect) <= NEGLIGIBLE_SHARE * width:
-                return False
-        return True
+    @property
+    def brief(self) -> str:
+        """Return the headline without what the interval assumes, which is a note."""
+        return write_headline(self, text.policy_value)
 
     @property
     def answer(self) -> str:
@@ -357,43 +216,7 @@ class Report:
             One row for each policy and estimator, in the order of ``results``;
             ``table`` lists the keys.
         """
-        return [self._record(result) for result in self.results]
-
-    def _record(self, result: Result) -> dict[str, Any]:
-        """Return one result as a row, in the report's unit."""
-        estimate = result.estimate
-        truth = self.truth.get(result.policy)
-        method = estimate.diagnostics.get("interval_method", OWN)
-        lower, upper = estimate.interval or (None, None)
-        likelihood = None
-        if method == LIKELIHOOD:
-            likelihood = self.uncertainty.likelihood.get(result.policy)
-        elif method == JOINED and result.policy in self.uncertainty.trials:
-            likelihood = self.uncertainty.trials[result.policy].interval
-        row = {
-            "policy": result.policy,
-            "estimator": result.estimator,
-            "value": estimate.value,
-            "standard_error": estimate.standard_error,
-            "lower": lower,
-            "upper": upper,
-            **end_columns(likelihood),
-            "interval_method": None if lower is None else method,
-            "true_value": truth,
-            "error": None if truth is None else estimate.value - truth,
-            "status": estimate.status,
-            "notes": list(self.notes.get((result.policy, result.estimator), ())),
-        }
-        row = self._in_unit(row)
-        # diagnostics stand after the columns, and never replace one of them
-        return {**row, **estimate.diagnostics.scaled(self.scale), **row}
-
-    def _in_unit(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a row whose values are multiplied by the report's scale."""
-        return {
-            key: x * self.scale if key in VALUES and x is not None else x
-            for key, x in row.items()
-        }
+        return [make_record(self, result) for result in self.results]
 
     @property
     def table(self) -> pd.DataFrame:
@@ -456,26 +279,7 @@ class Report:
             - ``more_trials``, ``more_transitions``: how many more of either halve the
               interval by the bound, or None.
         """
-        rows = []
-        for policy, both in self.uncertainty.trials.items():
-            row = {
-                "policy": policy,
-                "value": both.value,
-                "lower": both.interval.lower,
-                "upper": both.interval.upper,
-                "number": both.number,
-                "mean": both.mean,
-                "trials_lower": both.trials[0],
-                "trials_upper": both.trials[1],
-                "log_lower": both.log.lower,
-                "log_upper": both.log.upper,
-                "p_value": both.p_value,
-                "worth": both.worth,
-                "more_trials": both.more_trials,
-                "more_transitions": both.more_transitions,
-            }
-            rows.append(self._in_unit(row))
-        return rows
+        return make_trials(self)
 
     def comparison(self) -> list[dict[str, Any]]:
         """Compare the policies, best first.
@@ -507,37 +311,7 @@ class Report:
         One that is the difference of two likelihood intervals' ends covers where both
         of these do.
         """
-        compared = self.uncertainty.comparison
-        decision = self.uncertainty.decision
-        if compared is None or decision is None:
-            return []
-        known = self.uncertainty.likelihood
-        best = compared.names[0]
-        table = []
-        for k, policy in enumerate(compared.names):
-            estimate = self.uncertainty.default.get(policy)
-            lower, upper = (estimate and estimate.interval) or (None, None)
-            row: dict[str, Any] = {
-                "policy": policy,
-                "value": float(compared.values[k]),
-                "lower": lower,
-                "upper": upper,
-                **end_columns(known.get(policy)),
-                "probability_best": decision.probability_best[policy],
-                "unrecorded_share": float(compared.unrecorded_share[k]),
-                "less_by": None,
-                "less_by_lower": None,
-                "less_by_upper": None,
-            }
-            if k > 0:
-                less = float(compared.differences[0, k])
-                ends = compared.bounds(best, policy, known)
-                row["less_by"] = less
-                if math.isfinite(ends[0]):
-                    row["less_by_lower"] = min(ends[0], less)
-                    row["less_by_upper"] = max(ends[1], less)
-            table.append(self._in_unit(row))
-        return table
+        return make_comparison(self)
 
     @property
     def _ordered_policies(self) -> tuple[str, ...]:
@@ -563,18 +337,22 @@ class Report:
     def to_text(self, *, all: bool = False, verbose: bool = False) -> str:
         """Write the report as text for a terminal of 100 columns.
 
+        The short form is the answer, one table, the three notes that matter most, and
+        what the value was made from. Its last line says what is left out.
+
         Parameters
         ----------
         all : bool, default False
             Whether to show the rows that a short report leaves out: importance sampling
             that rests on a few episodes.
         verbose : bool, default False
-            Whether to show every note, and columns of diagnostics.
+            Whether to show every note, what each interval is, a row for each estimator
+            of several policies, and columns of diagnostics.
 
         Returns
         -------
         str
-            The answer, the tables, what the intervals assume, and the notes.
+            The text; ``print(report)`` prints the short form.
         """
         return tables.render(
             self,
@@ -645,32 +423,7 @@ class Report:
             are the rows of ``table``, ``intervals`` all intervals by policy and method,
             and ``comparison`` the rows of ``comparison()``, in the report's unit.
         """
-        found = {
-            "version": __version__,
-            "answer": self.answer,
-            "unit": self.unit,
-            "discount": self.discount,
-            "horizon": self.horizon,
-            "normalized": self.normalized,
-            "confidence": self.confidence,
-            "interval": self.legend(self.records()),
-            "seed": self.seed if isinstance(self.seed, int) else None,
-            "facts": dict(self.facts),
-            "results": self.records(),
-            "intervals": [
-                self._in_unit(
-                    {"policy": policy, "method": method, **interval_columns(found)}
-                )
-                for policy, methods in self.uncertainty.intervals.items()
-                for method, found in methods.items()
-            ],
-            "best": self.best,
-            "comparison": self.comparison(),
-            "trials": self.trials(),
-            "conclusion": list(self.uncertainty.sentences),
-            "warnings": list(self.warnings),
-        }
-        return {key: plain(value) for key, value in found.items()}
+        return make_dict(self)
 
     def to_json(self) -> str:
         """Return ``to_dict`` as JSON.
@@ -800,33 +553,4 @@ class Report:
         return page
 
     def _repr_html_(self) -> str:
-        return tables.render_html(self)
-
-
-def interval_columns(interval: Interval) -> dict[str, Any]:
-    """Return an interval as columns of a table."""
-    return {
-        "lower": interval.lower,
-        "upper": interval.upper,
-        **end_columns(interval),
-        "confidence": interval.confidence,
-        "status": interval.status,
-    }
-
-
-def end_columns(interval: Interval | None) -> dict[str, float | None]:
-    """Return the intervals at both ends of the factor of unrecorded pairs, as columns.
-
-    They are None where there is no such interval.
-    """
-    sampling: tuple[float | None, float | None] = (None, None)
-    anything: tuple[float | None, float | None] = (None, None)
-    if interval is not None:
-        sampling = interval.sampling or sampling
-        anything = interval.worst_case or anything
-    return {
-        "sampling_lower": sampling[0],
-        "sampling_upper": sampling[1],
-        "worst_case_lower": anything[0],
-        "worst_case_upper": anything[1],
-    }
+        return tables.render_html(self.content)

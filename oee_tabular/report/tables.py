@@ -1,229 +1,262 @@
-"""Views of a report as text for a terminal, and as a table in a notebook."""
+"""Views of a report's content as text for a terminal, and as a table in a notebook."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from oee_tabular import _printing
-from oee_tabular.report import text
+from oee_tabular.report import columns, text
+from oee_tabular.report.columns import Column, Row
+from oee_tabular.report.notes import Note, Rank
 
 if TYPE_CHECKING:
+    from oee_tabular.report.content import Content
     from oee_tabular.report.results import Report
 
-MAX_NOTES = 5  # that a short report shows
+MAX_NOTES = 3  # that a short report shows
 LINE_WIDTH = 100  # characters
-Row = Mapping[str, Any]
-Columns = Mapping[str, Callable[[Row], str]]  # title -> the cell of a row
+MAX_NAME = 60  # characters of a file's name, or of a description in place of one
+EQUALS = "\x1f=\x1f"  # no white space, of the length of " = "
+NOTEBOOK = (
+    columns.POLICY,
+    columns.ESTIMATOR,
+    columns.VALUE,
+    columns.INTERVAL,
+    columns.STANDARD_ERROR,
+    columns.ERROR,
+    columns.NOTE,
+)
 
 
 def render(report: Report, *, all: bool, verbose: bool) -> str:
     """Write a report as text, as ``Report.to_text`` returns it."""
-    rows, notes = number_notes(report, report.rows(all=all))
-    first = notes if verbose else notes[:MAX_NOTES]
-    rest = text.omissions(len(notes) - len(first), len(report.results) - len(rows))
-    return join(
-        fold([report.headline]),
-        comparison_table(report),
-        align(estimator_columns(report, verbose=verbose), rows, n_texts=2),
-        fold([*report.legend(rows), *details(report)]),
-        [*fold(first, indent="    "), *fold([rest])],
-        fold(inputs(report)),
-    )
-
-
-def render_comparison(report: Report) -> str:
-    """Write what ``oee compare`` prints: the answer, and a row for each policy."""
-    return join(
-        fold([report.headline]),
-        comparison_table(report),
-        fold([*details(report), *inputs(report)]),
-    )
-
-
-def render_intervals(report: Report) -> str:
-    """Write what likelihood intervals add to a report that was shown without them."""
-    kinds = ("likelihood", "likelihood with trials")
-    rows = [row for row in report.rows() if row["interval_method"] in kinds]
-    return join(
-        fold(["With the likelihood intervals:"]),
-        fold([report.headline]),
-        comparison_table(report),
-        fold([*report.legend(rows), *details(report)]),
-    )
-
-
-def render_html(report: Report) -> str:
-    """Write a report as a table in a notebook."""
-    columns = estimator_columns(report, verbose=False)
-    rows, notes = number_notes(report, report.rows())
-    return _printing.table(
-        list(columns),
-        [[cell(row) for cell in columns.values()] for row in rows],
-        caption=report.headline,
-        text_columns=2,
-        below=[*report.legend(rows), *details(report), *notes, *inputs(report)],
-    )
-
-
-def estimator_columns(report: Report, *, verbose: bool) -> Columns:
-    """Return the columns of the table with a row for each policy and estimator.
-
-    They are six; ``verbose`` shows all columns of diagnostics.
-    """
-    more = diagnostic_columns(report)
+    content = report.content
     if not verbose:
-        shown = "error" if report.truth else "std. error"
-        more = {shown: more[shown]}
-    return {
-        "policy": itemgetter("policy"),
-        "estimator": itemgetter("estimator"),
-        **value_columns(report),
-        **more,
-        "note": lambda row: "".join(f"[{k}]" for k in row["notes"]),
-    }
+        return render_short(content, all=all)
+    rows, notes = number_notes(content, content.records if all else content.shown)
+    rest = text.omissions(len(content.records) - len(rows))
+    return join(
+        fold([content.headline]),
+        comparison_in_full(content),
+        align(columns.estimator_columns(content, columns.FULL), rows),
+        fold([*report.legend(rows), *content.details]),
+        [*fold(notes, indent="    "), *fold([rest])],
+        fold(inputs(content)),
+    )
 
 
-def value_columns(report: Report) -> Columns:
-    """Return the columns of a value and its interval.
+def render_short(content: Content, *, all: bool = False) -> str:
+    """Write the answer, one table, the first notes, and what the report was made from.
 
-    A value without an interval has no more digits than the policy's answer.
+    The last line says what is left out, and how to see it.
     """
-    quoted = {answer.policy: (answer.lower, answer.upper) for answer in report.answers}
-
-    def value(row: Row) -> str:
-        """Write a value with as many digits as an interval allows."""
-        ends = row["lower"], row["upper"]
-        shown = text.format_estimate(row["value"], ends, quoted[row["policy"]])
-        return shown.replace("−", "-")
-
-    return {
-        "value": value,
-        f"{report.confidence:.0%} interval": lambda row: write_interval(
-            row["lower"], row["upper"]
-        ),
-    }
-
-
-def diagnostic_columns(report: Report) -> Columns:
-    """Return the columns of diagnostics, whose cells are empty where a row has none."""
-    errors = {"std. error": number_cell("standard_error", "{:.2g}".format)}
-    if report.truth:
-        errors["error"] = number_cell("error", "{:+.2g}".format)
-    return {
-        **errors,
-        "eff. n": number_cell("effective_sample_size", "{:.0f}".format),
-        "coverage": number_cell("coverage", _printing.share),
-        "max weight": number_cell("largest_weight", "{:.3g}".format),
-        "row-sum err.": number_cell("row_sum_error", _write_row_sum_error),
-    }
+    if has_row_for_each_policy(content) and not all:
+        shown = first_notes(content.notes, stated_pairs(content))
+        table = comparison_table(content)
+        # the policies' own rows are in the table
+        more_rows = len(content.shown) - len(content.comparison)
+    else:
+        records = content.records if all else content.shown
+        pairs = {(row["policy"], row["estimator"]) for row in records}
+        shown = first_notes(content.notes, pairs)
+        rows = cite_notes(records, shown)
+        table = align(short_columns(content, rows), rows)
+        more_rows = 0
+    hidden_rows = 0 if all else len(content.records) - len(content.shown)
+    rest = text.left_out(len(content.notes) - len(shown), more_rows, hidden_rows)
+    numbered = [f"[{k}] {note.text}" for k, note in enumerate(shown, start=1)]
+    return join(
+        fold([content.brief]),
+        [*table, *fold([f"A value is {content.meaning}."])],
+        fold(numbered, indent="    "),
+        fold([provenance(content), rest]),
+    )
 
 
-def _write_row_sum_error(error: float) -> str:
-    """Write how far rows are from summing to 1; rounding is 0."""
-    return "0" if error < 1e-9 else f"{error:.2g}"
+def render_comparison(report: Report, *, verbose: bool) -> str:
+    """Write what ``oee compare`` prints: the answer, and a row for each policy."""
+    content = report.content
+    if not verbose:
+        return render_short(content)
+    _, notes = number_notes(content, content.shown)
+    return join(
+        fold([content.headline]),
+        comparison_in_full(content),
+        fold([*content.legend, *content.details]),
+        fold(notes, indent="    "),
+        fold(inputs(content)),
+    )
 
 
-def comparison_table(report: Report) -> list[str]:
+def render_intervals(report: Report, *, verbose: bool) -> str:
+    """Write what likelihood intervals add to a report that was shown without them."""
+    content = report.content
+    title = "With the likelihood intervals:"
+    if not verbose:
+        return join([title], [render_short(content)])
+    kinds = ("likelihood", "likelihood with trials")
+    rows = [row for row in content.shown if row["interval_method"] in kinds]
+    return join(
+        [title],
+        fold([content.headline]),
+        comparison_in_full(content),
+        fold([*report.legend(rows), *content.details]),
+    )
+
+
+def render_html(content: Content) -> str:
+    """Write a report as a table in a notebook."""
+    chosen = [
+        name for name in NOTEBOOK if name != columns.STANDARD_ERROR or not content.truth
+    ]
+    shown = columns.estimator_columns(content, chosen)
+    rows, notes = number_notes(content, content.shown)
+    return _printing.table(
+        [column.title for column in shown],
+        [[column.write(row) for column in shown] for row in rows],
+        caption=content.headline,
+        text_columns=2,
+        below=[*content.legend, *content.details, *notes, *inputs(content)],
+    )
+
+
+# ---- the table
+
+
+def has_row_for_each_policy(content: Content) -> bool:
+    """Say whether the policies are compared, and by nothing but the default rows.
+
+    Then a row for each policy says all that a first reader looks for.
+    """
+    names = {row["estimator"] for row in content.records}
+    return bool(content.comparison) and names <= text.DEFAULT_ROWS.keys()
+
+
+def short_columns(content: Content, rows: Sequence[Row]) -> list[Column]:
+    """Return the columns of a short table with a row for each policy and estimator.
+
+    A column stands there only if a row has something in it. The answer names a single
+    policy, so that a column of policies stands there only for several.
+    """
+    chosen = columns.estimator_columns(content, columns.SHORT)
+    if len(content.answers) == 1:
+        chosen = [column for column in chosen if column.title != columns.POLICY]
+    return [column for column in chosen if any(column.write(row) for row in rows)]
+
+
+def comparison_table(content: Content) -> list[str]:
     """Write a row for each policy, best first; no lines for a single policy."""
-    rows = report.comparison()
-    if not rows:
+    if not content.comparison:
         return []
-    best = number_cell("probability_best", "{:.1%}".format)
-    columns: dict[str, Callable[[Row], str]] = {
-        "policy": itemgetter("policy"),
-        **value_columns(report),
-        "P(best)": lambda row: best(row) or "-",
-        "below the top row by": write_difference,
-    }
+    return align(columns.comparison_columns(content), content.comparison)
 
-    def exact_value(row: Row) -> str:
-        """Write the exact value of a policy, in the report's unit."""
-        return f"{report.truth[row['policy']] * report.scale:.6g}"
 
-    if report.truth:
-        columns["exact value"] = exact_value
-    lines = align(columns, rows, n_texts=1)
-    if any(row["probability_best"] is None for row in rows):
-        lines.append(text.NO_P_BEST)
+def comparison_in_full(content: Content) -> list[str]:
+    """Write the table of the policies, and why it has no P(best)."""
+    lines = comparison_table(content)
+    if any(row["probability_best"] is None for row in content.comparison):
+        lines += fold([text.NO_P_BEST])
     return lines
 
 
-def write_value(value: float, lower: float | None, upper: float | None) -> str:
-    """Write a value with as many digits as its interval has."""
-    if lower is None or upper is None:
-        return text.format_number(value).replace("−", "-")
-    return f"{value:{_printing.spec(lower, upper)}}"
-
-
-def write_interval(lower: float | None, upper: float | None) -> str:
-    """Write an interval; "" without one."""
-    return "" if lower is None or upper is None else _printing.interval(lower, upper)
-
-
-def write_difference(row: Row) -> str:
-    """Write by how much a policy is worth less than the best; "" for the best."""
-    less = row["less_by"]
-    if less is None:
-        return ""
-    ends = (row["less_by_lower"], row["less_by_upper"])
-    return f"{write_value(less, *ends)} {write_interval(*ends)}".strip()
-
-
-def number_cell(key: str, form: Callable[[float], str]) -> Callable[[Row], str]:
-    """Return the function that writes a row's number; "" where the row has none."""
-    return lambda row: "" if row.get(key) is None else form(row[key])
-
-
-def align(columns: Columns, rows: Sequence[Row], *, n_texts: int) -> list[str]:
-    """Return the lines of a table; only the first n_texts columns align left."""
-    table = [list(columns)]
-    table += [[cell(row) for cell in columns.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+def align(chosen: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    """Return the lines of a table; columns of texts align left, others right."""
+    table = [[column.title for column in chosen]]
+    table += [[column.write(row) for column in chosen] for row in rows]
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
     lines = []
     for cells in table:
         padded = []
-        for k, (cell, width) in enumerate(zip(cells, widths, strict=True)):
-            padded.append(cell.ljust(width) if k < n_texts else cell.rjust(width))
+        for column, cell, width in zip(chosen, cells, widths, strict=True):
+            padded.append(cell.ljust(width) if column.is_text else cell.rjust(width))
         lines.append("  ".join(padded).rstrip())
     return lines
 
 
-def number_notes(report: Report, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
+# ---- the notes
+
+
+def stated_pairs(content: Content) -> set[tuple[str, str]]:
+    """Return the (policy, estimator) whose values the answer states."""
+    return {(answer.policy, answer.estimator) for answer in content.answers}
+
+
+def first_notes(notes: Sequence[Note], pairs: set[tuple[str, str]]) -> list[Note]:
+    """Return the first notes that can change what a reader does.
+
+    A note about rows is one of them only if a row of its own is among ``pairs``, those
+    of the table.
+    """
+    first = [
+        note
+        for note in notes
+        if note.rank < Rank.REMARK and (not note.pairs or note.pairs & pairs)
+    ]
+    return first[:MAX_NOTES]
+
+
+def cite_notes(rows: Sequence[Row], notes: Sequence[Note]) -> list[Row]:
+    """Return rows with the numbers, from 1, of the notes that are about them."""
+    cited: list[Row] = []
+    for row in rows:
+        pair = (row["policy"], row["estimator"])
+        numbers = [k for k, note in enumerate(notes, start=1) if pair in note.pairs]
+        cited.append({**row, "notes": numbers})
+    return cited
+
+
+def number_notes(content: Content, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
     """Return the rows with their notes numbered from 1, and the sentences of the notes.
 
     A warning that is about no row in particular has no number, and comes first.
     """
     cited = sorted({k for row in rows for k in row["notes"]})
-    about_rows = {k for notes in report.notes.values() for k in notes}
+    warnings = content.warnings
     general = [
         warning
-        for k, warning in enumerate(report.warnings, start=1)
-        if k not in about_rows
+        for k, warning in enumerate(warnings, start=1)
+        if k not in content.about_rows
     ]
-    numbered = [f"[{i}] {report.warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
+    numbered = [f"[{i}] {warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
     renumbered: list[Row] = [
         {**row, "notes": [1 + cited.index(k) for k in row["notes"]]} for row in rows
     ]
     return renumbered, [*general, *numbered]
 
 
-def details(report: Report) -> list[str]:
-    """Return the sentences below the table; the ranking stands above it."""
-    return list(report.uncertainty.details)
+# ---- what it was made from
 
 
-def inputs(report: Report) -> list[str]:
+def inputs(content: Content) -> list[str]:
     """Return the lines on what a value is, and on what it was made from."""
-    keys = [
-        key for key in ("simulator", "log", "trials", "target") if key in report.facts
-    ]
+    facts = content.facts
+    keys = [key for key in ("simulator", "log", "trials", "target") if key in facts]
     return [
-        f"Value: {report.unit}",
-        *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),
+        f"Value: {content.unit}",
+        *(f"{key.capitalize()}: {facts[key]}" for key in keys),
     ]
+
+
+def provenance(content: Content) -> str:
+    """Return in one line what the report was made from."""
+    facts = content.facts
+    simulator = facts.get("simulator_name")
+    if simulator and facts.get("action_noise"):
+        simulator += f" with action noise {facts['action_noise']:g}"
+    log = facts.get("log_name")
+    if content.sizes is None:  # a continuous task
+        simulator = simulator or facts.get("simulator")
+        log = log or facts.get("log")
+    names = [
+        name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
+        for name in (log, simulator)
+    ]
+    return text.provenance(content.sizes, (names[0], names[1]))
+
+
+# ---- lines
 
 
 def fold(sentences: Iterable[str], indent: str = "") -> list[str]:
@@ -234,7 +267,12 @@ def fold(sentences: Iterable[str], indent: str = "") -> list[str]:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return [line for sentence in sentences for line in wrapper.wrap(sentence)]
+    lines = []
+    for sentence in sentences:
+        # an equation stays on one line
+        for line in wrapper.wrap(sentence.replace(" = ", EQUALS)):
+            lines.append(line.replace(EQUALS, " = "))
+    return lines
 
 
 def join(*paragraphs: Sequence[str]) -> str:

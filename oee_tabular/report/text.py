@@ -65,23 +65,28 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
         " do anything that the simulator allows."
     ),
 }
-COLUMNS: Mapping[str, str] = {  # of the page's tables
-    "P(best)": (
-        "The probability that this policy is worth most, given the sampling noise"
-        " alone."
-    ),
-    "std. error": "Standard error, in the unit of the value.",
-    "eff. n": (
-        "Effective sample size: how many equally informative transitions (or episodes)"
-        " the value rests on."
-    ),
-    "coverage": (
-        "Share of the policy's discounted time, in the estimator's model, in recorded"
-        " state-action pairs."
-    ),
-    "max weight": "The largest ratio, target over simulator or policy over behaviour.",
-    "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
+# the corrected rows of a continuous task, with the last actions in its state or without
+CONTINUOUS_ROWS = tuple(
+    f"oee ({fitted}residual{actions})"
+    for fitted in ("", "parameters, ")
+    for actions in ("", ", last action", *(f", last {k} actions" for k in range(1, 10)))
+)
+# what the rows of a usual report rest on
+DEFAULT_ROWS: Mapping[str, str] = {
+    "simulator": "the simulator alone",
+    "oee": "the simulator, corrected by the log",
+    "oee-tied": "the same, with shared ratios",
+    "oee-features": "the same, along the features",
+    "model-based": "the log alone",
+    "pdis": "the log's episodes, weighted",
+    "wpdis": "the log's episodes, weighted",
+    "trials": "the trials alone",
+    "oee+trials": "simulator, log and trials",
+    **dict.fromkeys(CONTINUOUS_ROWS, "the simulator, corrected by the log"),
+    "linear model of the log": "the log alone",
+    "simulator (continuous)": "the simulator alone",
 }
+NOT_USABLE = "do not rely on this value (--verbose says why)"
 NO_VALUE = (
     "No estimator could give the value of a policy in the target. The notes say why."
 )
@@ -100,6 +105,8 @@ SOFT = (
     " intervals need whole and independent transitions, so they are left out."
 )
 MISSING_INTERVALS = "There are no likelihood intervals: {}."
+QUICK = "quick=True (--quick) leaves them out"  # for MISSING_INTERVALS
+SEARCHED_NEXT = "they are searched for next"
 MISSING_WORST_CASES = "The intervals' worst cases are left out: {}."
 NO_P_BEST = (
     "There is no P(best), because it includes sampling noise alone, and here other"
@@ -151,6 +158,8 @@ class Answer:
         Whether the interval's ends are inner bounds, because their search was stopped.
     is_from_log : bool
         Whether the value uses the log. False for what the simulator alone says.
+    is_contradicted : bool
+        Whether the policy's trials contradict the log, so that no value is stated.
     """
 
     policy: str
@@ -167,6 +176,7 @@ class Answer:
     assumption: str
     is_inner: bool
     is_from_log: bool
+    is_contradicted: bool = False
 
     @property
     def is_nearly_silent(self) -> bool:
@@ -234,20 +244,36 @@ def count(number: int, noun: str) -> str:
 
 
 def policy_worth(answer: Answer, confidence: float) -> str:
+    """Say what one policy is worth, what the simulator says, and what is assumed."""
+    return " ".join(filter(None, (policy_value(answer, confidence), answer.assumption)))
+
+
+def policy_value(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
     ends = (answer.lower, answer.upper)
     level = f"{format_level(confidence)} interval"
     if answer.is_inner:
         level = f"inner bounds of the {level}"
-    if answer.is_nearly_silent and answer.coverage is not None:
+    if answer.is_contradicted and answer.lower is not None:
         sentence = (
-            f"The log covers {_printing.share(answer.coverage)} of what the policy"
-            f" “{answer.policy}” does: "
+            f"Until then all that can be said of “{answer.policy}” is the range that"
+            f" reaches over both, {format_interval(*ends)}"
+        )
+    elif answer.is_nearly_silent and answer.coverage is not None:
+        sentence = (
+            f"The log covers only {_printing.share(answer.coverage)} of what the policy"
+            f" “{answer.policy}” does, so "
         )
         if answer.lower is None:
-            sentence += f"about {format_number(answer.value)}, without an interval"
+            sentence += (
+                f"its value in the target, about {format_number(answer.value)}, has no"
+                " interval"
+            )
         else:
-            sentence += f"between {format_interval(*ends, ' and ')} ({level})"
+            sentence += (
+                "its value in the target is known only to be between"
+                f" {format_interval(*ends, ' and ')} ({level})"
+            )
     else:
         is_of_target = answer.is_from_log or answer.truth is not None
         where = "target" if is_of_target else "simulator"
@@ -266,7 +292,7 @@ def policy_worth(answer: Answer, confidence: float) -> str:
             )
     if answer.truth is not None:
         sentence += f". The exact value, known here, is {format_number(answer.truth)}"
-    return " ".join(filter(None, (f"{sentence}.", answer.assumption)))
+    return f"{sentence}."
 
 
 def log_cannot_say(policies: Sequence[str], reason: str) -> str:
@@ -370,23 +396,25 @@ def test_of_simulator(
         if tested == 1:
             each = "those of the one recorded state-action pair do so"
         return (
-            f"The recorded transitions reject the simulator: {each} by"
-            f" {'itself' if rejected == 1 else 'themselves'}. In all of them together,"
-            f" what it calls likely is as frequent as it says (z = {z:.1f})."
+            "The target differs from the simulator. The recorded transitions reject"
+            f" the simulator: {each} by {'itself' if rejected == 1 else 'themselves'}. In"
+            " all of them together, what it calls likely is as frequent as it says"
+            f" (z = {z:.1f})."
         )
     sign = "less" if z < 0 else "more"
     whole = (
-        f"Together the recorded transitions reject the simulator (z = {z:.1f}: what it"
-        f" calls likely happens {sign} often than it says)."
+        "The target differs from the simulator. Together the recorded transitions reject"
+        f" the simulator (z = {z:.1f} standard deviations: what it calls likely happens"
+        f" {sign} often than it says)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
     if not rejected:
-        return f"{whole} By itself, none of the {pairs} does."
+        return f"{whole} No single one of the {pairs} rejects it by itself."
     if rejected == tested:
-        return f"{whole} By itself, each of the {pairs} does as well."
-    verb = "rejects" if rejected == 1 else "reject"
-    return f"{whole} By themselves, {rejected:,} of the {pairs} {verb} it."
+        return f"{whole} Each of the {pairs} rejects it by itself as well."
+    verb = "rejects it by itself" if rejected == 1 else "reject it by themselves"
+    return f"{whole} {rejected:,} of the {pairs} {verb}."
 
 
 def distance_from_simulator(
@@ -430,31 +458,39 @@ def assumption(
     intervals at its two ends, where they are to be told. ``has_box`` says that the user
     bounded all ratios.
     """
-    pairs = "the pair that was never recorded"
-    if unrecorded > 1:
-        pairs = f"the {unrecorded:,} pairs that were never recorded"
+    is_one = unrecorded == 1
+    pairs = "One state-action pair was"
+    where = "it"
+    if not is_one:
+        pairs = f"{unrecorded:,} state-action pairs were"
+        where = "them"
     of_time = ""
     if share is not None:
-        of_time = f", {_printing.share(share)} of the policy's time,"
+        time = _printing.share(share)
+        of_time = f", and the policy spends {time} of its time in {where}"
+    probabilities = "its probabilities" if is_one else "their probabilities"
     if factor == 1.0:
-        rule = f"The interval takes {pairs}{of_time} as estimated"
+        rule = f"The interval takes {probabilities} as estimated"
     elif math.isinf(factor):
-        rule = f"The interval lets {pairs}{of_time} do anything"
+        rule = f"The interval lets {probabilities} be anything"
         if has_box:
             rule += " that the box allows"
     else:
         rule = (
-            f"The interval lets {pairs}{of_time} differ from the estimate by a factor of"
-            f" {write_factor(factor)}"
+            f"The interval assumes that {probabilities} are within a factor of"
+            f" {write_factor(factor)} of the estimated ones"
         )
     ends = []
     if as_estimated is not None:
-        whose = "it behaves" if unrecorded == 1 else "they behave"
-        ends.append(f"if {whose} as estimated: {format_interval(*as_estimated)}")
+        ends.append(f"if they are as estimated, it is {format_interval(*as_estimated)}")
     if anything is not None:
-        they = "it" if unrecorded == 1 else "they"
-        ends.append(f"if {they} may do anything: {format_interval(*anything)}")
-    return f"{'; '.join([rule, *ends])}."
+        worst = format_interval(*anything)
+        ends.append(f"if they can be anything, {'' if ends else 'it is '}{worst}")
+    sentences = [f"{pairs} never recorded{of_time}", rule]
+    if ends:
+        told = "; ".join(ends)
+        sentences.append(f"{told[0].upper()}{told[1:]}")
+    return f"{'. '.join(sentences)}."
 
 
 def write_factor(factor: float) -> str:
@@ -495,7 +531,7 @@ def both_sources(
     return (
         f"The {count_trials(number)} alone say {format_value(mean, *trials)} ({level}"
         f" interval: {format_interval(*trials)}), the log alone says"
-        f" {format_interval(*log)}."
+        f" {format_within(log, trials)}."
     )
 
 
@@ -517,17 +553,26 @@ def halve_interval(trials: float, transitions: float) -> str:
 
 
 def contradiction(
-    policy: str, mean: float, log: tuple[float, float], p_value: float, level: float
+    policy: str,
+    trials: tuple[float, float],
+    log: tuple[float, float],
+    p_value: float,
+    level: float,
 ) -> str:
     """Say that the trials of a policy contradict the log."""
     shown = "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
     return (
         f"The trials of “{policy}” and the log contradict each other ({shown}, below"
-        f" {level:g}): the trials' mean is {format_value(mean, *log)}, the log says"
-        f" {format_interval(*log)}. They may be of two targets, of other first states or"
-        " of another policy. The value is that of the trials, and the interval reaches"
-        " over both. Find out which one is wrong before either is used."
+        f" {level:g}): the trials say {format_interval(*trials)}, the log says"
+        f" {format_within(log, trials)}. One of them may be of another target, of other"
+        " first states or of another policy. Find out which one before either is used."
     )
+
+
+def format_within(ends: tuple[float, float], other: tuple[float, float]) -> str:
+    """Write an interval with the digits of another; one number if the ends agree."""
+    lower, upper = (format_value(end, *other) for end in ends)
+    return lower if lower == upper else f"{lower} to {upper}"
 
 
 def count_trials(number: float) -> str:
@@ -555,16 +600,55 @@ def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
     )
 
 
-def omissions(notes: int, rows: int) -> str:
-    """Say what a short report leaves out; "" where that is nothing."""
+def omissions(rows: int) -> str:
+    """Say how many rows a report leaves out; "" where there are none."""
+    if not rows:
+        return ""
+    return f"{count(rows, 'more row')} with --all (in Python: to_text(all=True))."
+
+
+def left_out(notes: int, rows: int, hidden: int) -> str:
+    """Say what a short report leaves out and how to see it; "" where that is nothing.
+
+    ``notes`` and ``rows`` are shown with --verbose, ``hidden`` rows with --all.
+    """
+    more = []
+    if notes:
+        more.append(count(notes, "note"))
+    if rows:
+        more.append(count(rows, "row"))
     parts = []
     options = []
-    if notes:
-        parts.append(f"{count(notes, 'more note')} with --verbose")
+    if more:
+        parts.append(f"{', '.join(more)} (--verbose)")
         options.append("verbose=True")
-    if rows:
-        parts.append(f"{count(rows, 'more row')} with --all")
+    if hidden:
+        parts.append(f"{count(hidden, 'row')} (--all)")
         options.append("all=True")
     if not parts:
         return ""
-    return f"{' and '.join(parts)} (in Python: to_text({', '.join(options)}))."
+    told = " and ".join(parts)
+    return f"Left out: {told}; in Python: report.to_text({', '.join(options)})."
+
+
+def provenance(
+    counts: tuple[int, int] | None,
+    names: tuple[str | None, str | None],
+) -> str:
+    """Say what log and simulator a value was made from; "" where nothing is known.
+
+    ``counts`` are the numbers of transitions and of states, ``names`` are those of the
+    log and of the simulator, where they are known.
+    """
+    sizes: tuple[str | None, str | None] = (None, None)
+    if counts is not None:
+        sizes = (count(counts[0], "transition"), count(counts[1], "state"))
+    parts = []
+    sources = ("the target's log", "the simulator")
+    for what, name, size in zip(sources, names, sizes, strict=True):
+        about = ", ".join(filter(None, (name, size)))
+        if about:
+            parts.append(f"{what} ({about})")
+    if not parts:
+        return ""
+    return f"Made from {' and '.join(parts)}."

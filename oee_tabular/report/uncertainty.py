@@ -720,7 +720,7 @@ def _write_contradictions(trials: Mapping[str, JoinedTrials], scale: float) -> s
     return " ".join(
         text.contradiction(
             name,
-            scale * both.mean,
+            (scale * both.trials[0], scale * both.trials[1]),
             (scale * both.log.lower, scale * both.log.upper),
             both.p_value,
             CONTRADICTION_LEVEL,

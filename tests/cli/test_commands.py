@@ -39,7 +39,7 @@ def test_nothing_slow_is_imported_without_need(folder):
     ]
     for words, slow, text in (
         (["--help"], SLOW | {"numba", "scipy"}, "evaluate"),
-        (evaluate, SLOW, "95% interval of oee (likelihood)"),
+        (evaluate, SLOW, "the simulator, corrected by the log"),
     ):
         script = (
             f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept"

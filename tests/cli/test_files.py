@@ -186,7 +186,7 @@ def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):
     told = run(words, "--bad-rows drop")
     assert "1 invalid rows dropped, 1 episodes broken" in told
     assert "part-1.parquet': state[5] must be in 0..8; it is 77" in told
-    evaluated = run(f"evaluate --simulator {GRID} --log c.npz --quick")
+    evaluated = run(f"evaluate --simulator {GRID} --log c.npz --quick --verbose")
     assert "1 invalid row of the log (" in " ".join(evaluated.split())
     assert "--output must be a new file, or be given with --overwrite" in run(
         words, code=2

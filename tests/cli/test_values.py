@@ -24,10 +24,9 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
     for word in (
         "10% expert",
         "90% expert",
-        "oee",
-        "model-based",
-        "3162 transitions",
-        "t = 0..199",
+        "simulator says",
+        "3,162 transitions",
+        "200 rewards",
     ):
         assert word in out
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -43,9 +42,12 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
         " --policy uniform --raw"
     )
     assert "\nWritten: out/report.json, out/table.csv, out/values.png\n" in again
-    assert "t = 0..49, discount 0.9" in again
-    assert "(1 - discount)" in out
-    assert "(1 - discount)" not in again
+    assert "50 rewards (discount 0.9)" in again
+    assert "0.01 × the discounted sum of" in out
+    assert "0.01 ×" not in again
+    more = run("evaluate --verbose")
+    for word in ("oee", "model-based", "3162 transitions", "t = 0..199"):
+        assert word in more
 
 
 def test_from_files_to_a_value(run):
@@ -68,7 +70,7 @@ def test_from_files_to_a_value(run):
         words, "--target gridworld:4,slip=0.1 --normalized --estimators oee,oracle"
     )
     assert "The exact value, known" in " ".join(shown.split())
-    assert "(1 - discount)" in shown
+    assert "0.01 × the discounted sum of 30 rewards" in shown
 
 
 def test_the_behaviour_policy_of_a_log_without_probabilities(run, folder):
@@ -83,9 +85,8 @@ def test_the_behaviour_policy_of_a_log_without_probabilities(run, folder):
 def test_action_noise_is_part_of_what_is_reported(run, folder):
     words = "evaluate --simulator gridworld:3,slip=0.0 --log log.csv --estimators oee"
     assert "(--action-noise)" in run(words, code=2)
-    assert "gridworld:3,slip=0.0 with action noise 0.3" in run(
-        words, "--action-noise 0.3"
-    )
+    shown = " ".join(run(words, "--action-noise 0.3").split())
+    assert "gridworld:3,slip=0.0 with action noise 0.3" in shown
     assert (
         json.loads(run(words, "--action-noise 0.3 --json"))["facts"]["action_noise"]
         == 0.3
@@ -152,7 +153,7 @@ def test_the_factor_of_unrecorded_pairs_is_python_s(run, folder, factor):
         assert (row["lower"], row["upper"]) == (known.lower, known.upper)
         assert (row["sampling_lower"], row["sampling_upper"]) == known.sampling
         assert (row["worst_case_lower"], row["worst_case_upper"]) == known.worst_case
-        said = {"1": "as estimated", "2.5": "by a factor of 2.5", "inf": "do anything"}
+        said = {"1": "as estimated", "2.5": "a factor of 2.5", "inf": "be anything"}
         assert said[factor] in " ".join(run(*words).split())
 
 
@@ -249,7 +250,8 @@ def test_compare_says_which_or_that_it_cannot(run, folder):
     assert doubt["best"] is None
     assert "The log cannot say which of" in doubt["sentence"]
     assert {row["probability_best"] for row in doubt["policies"]} == {None}
-    assert "There is no P(best), because" in run(words)
+    assert "There is no P(best), because" in run(words, "--verbose")
+    assert "P(best)" not in run(words)
 
 
 @pytest.mark.parametrize("moves", [6, 60, 600])

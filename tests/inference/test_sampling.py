@@ -92,10 +92,11 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     ):
         assert_allclose(row[columns].astype(float), 0.1 * np.array(ends), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
-    share = f"{100 * (1 - row['coverage']):.1f}% of the policy's time"
-    assert f"pairs that were never recorded, {share}, differ" in report.headline
-    assert "; if they behave as estimated: " in report.headline
-    assert "; if they may do anything: " in report.headline
+    share = f"{100 * (1 - row['coverage']):.1f}% of its time in them"
+    said = f"pairs were never recorded, and the policy spends {share}. "
+    assert said in report.headline
+    assert "If they are as estimated, it is " in report.headline
+    assert "; if they can be anything, " in report.headline
     report.save(tmp_path)
     kept = next(
         r
@@ -112,7 +113,7 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     page = report.to_html()
     assert "sampling interval" in page
     assert "worst case interval" in page
-    assert "if they behave as estimated" in page
+    assert "they are as estimated, it is " in page
 
 
 def test_it_stays_in_the_box():

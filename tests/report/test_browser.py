@@ -105,7 +105,8 @@ def test_axe_would_find_a_picture_without_a_name(browser, axe):  # noqa: F811
 def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
     page, _, _ = opened(browser, pages["lake"], 400, "light")
     wanted = page.evaluate(
-        "document.querySelectorAll('a[href], summary, [tabindex=\"0\"]').length"
+        'document.querySelectorAll(\'a[href], summary, [tabindex="0"],'
+        " fieldset.sort').length"
     )
     seen = []
     for _ in range(wanted):
@@ -128,4 +129,35 @@ def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
     page.keyboard.press("ArrowRight")
     # Playwright's own waiting needs eval, which the page forbids
     wait_until(lambda: table.evaluate("e => e.scrollLeft") > 0)
+    page.context.close()
+
+
+def test_rows_are_sorted_without_a_script(browser, pages):  # noqa: F811
+    """Rows change their places when a radio button is chosen, and no script runs."""
+    for width in WIDTHS:
+        page, heard, _ = opened(browser, pages["lake"], width, "light")
+        box = page.locator("#changes .sortable")
+        numbers = """e => [...e.querySelectorAll('tbody tr')]
+            .sort((a, b) => a.getBoundingClientRect().top - b.getBoundingClientRect().top)
+            .map(r => Number(r.lastElementChild.textContent.replace(',', '')))"""
+        before = box.evaluate(numbers)
+        box.locator('input[value="2"]').check()
+        after = box.evaluate(numbers)
+        assert after == sorted(before, reverse=True)
+        assert after != before
+        assert heard == []
+        page.context.close()
+
+
+def test_tooltips_are_under_the_pointer(browser, pages):  # noqa: F811
+    page, _, _ = opened(browser, pages["lake"], 1400, "light")
+    told = page.evaluate(
+        """() => { const e = document.querySelector('[id^="recorded-tip9"]');
+        e.scrollIntoView(); const r = e.getBoundingClientRect();
+        const hit = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);
+        return [hit.closest('g[id^="recorded-tip"]').querySelector('title').textContent,
+                r.width > 10]; }"""
+    )
+    assert told[1]
+    assert told[0].startswith("cell (")
     page.context.close()

@@ -2,6 +2,7 @@
 needs nothing from outside.
 """
 
+import base64
 import math
 import os
 import re
@@ -113,7 +114,7 @@ def test_it_says_the_answer_and_how_it_was_found(report, html):
         "FiniteMDP(",
     ):
         assert word in text
-    assert "col. 0" in text  # the lake is drawn as a grid
+    assert " in cell (" in text  # the lake is drawn as a grid
     assert "ends in other states than the simulator says" in text
 
 
@@ -440,7 +441,8 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(
     assert typed[:2] == ["oee", "plan"]
     assert typed[typed.index("--transitions") + 1] == "60"
     assert run_command(*typed[1:]) == 0
-    advice = next(line for line in printed.splitlines() if line.startswith("Record "))
+    advice = next(line for line in printed.splitlines() if "] Record " in line)
+    advice = advice.partition("] ")[2]
     assert advice in capsys.readouterr().out
     assert advice.replace("'", "&#39;") in text
 
@@ -488,3 +490,54 @@ def test_covered_does_not_read_as_all_of_it():
         r"time in recorded pairs</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never",
         report.to_html(),
     )
+
+
+def test_the_page_holds_its_table_as_csv(report, html, tmp_path):
+    link = next(link for link in Page(html).all("a") if link.get("download"))
+    assert link["download"] == "table.csv"
+    head, _, content = link["href"].partition(",")
+    assert head == "data:text/csv;charset=utf-8;base64"
+    report.save(tmp_path)
+    assert base64.b64decode(content) == (tmp_path / "table.csv").read_bytes()
+
+
+def test_pictures_have_tooltips_with_names_of_cells_and_actions(report, html):
+    recorded = re.search(r'<svg[^>]*"recorded-title.*?</svg>', html, re.S)[0]
+    told = re.findall(r"<title>(.*?)</title>", recorded)
+    assert len(told) == 16
+    counts = report.problem.counts.sum(axis=1).reshape(16, 4)
+    first = ", ".join(
+        f"{name} {counts[0, a]:,.0f}"
+        for a, name in enumerate(("left", "down", "right", "up"))
+    )
+    assert told[0] == (
+        f"cell (0, 0): {counts[0].sum():,.0f} recorded transitions ({first})"
+    )
+    visits = re.search(r'<svg[^>]*"visits0-title.*?</svg>', html, re.S)[0]
+    assert "% of the time" in re.findall(r"<title>(.*?)</title>", visits)[0]
+    forest = re.search(r'<svg[^>]*"forest0-title.*?</svg>', html, re.S)[0]
+    assert any(
+        title.startswith("oee: ") and "95% interval" in title
+        for title in re.findall(r"<title>(.*?)</title>", forest)
+    )
+
+
+def test_names_stand_in_the_table_of_differences_where_states_have_them():
+    simulator, target = (oee.tasks.gridworld(3, slip) for slip in (0.5, 0.0))
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, 30, seed=0)
+    policy = oee.tasks.gridworld_expert(3)
+    placed = oee.evaluate(Problem(simulator, log), policy).to_html()
+    assert re.search(r">(up|down|left|right) in cell \(\d, \d\) <span", placed)
+    assert re.search(r"state \d, action \d</span>", placed)
+    named = simulator.with_names(
+        [f"<room> {k}" for k in range(9)], ["up & off", "down", "left", "right"]
+    )
+    text = oee.evaluate(Problem(named, log), policy).to_html()
+    assert " in state “&lt;room&gt; " in text
+    assert "“up &amp; off” in " in text
+    assert "<room>" not in text
+
+
+def test_rows_have_a_place_in_each_order():
+    assert page.rank_rows([1.0, None, 3.0, math.nan, 2.0]) == [2, 3, 0, 4, 1]
+    assert page.rank_rows([]) == []

@@ -76,18 +76,21 @@ def test_text_names_unit_truth_and_errors(problem):
     report = oee.evaluate(
         problem, POLICIES, seed=0, normalized=True, target=TARGET, confidence=0.9
     )
-    text = str(report)
+    text = report.to_text(verbose=True)
     assert (
         "Value: (1 - discount) * sum of discount^t * reward over t = 0..39, discount"
         " 0.99" in text
     )
     truth = oee.policy_value(TARGET, POLICIES["bold"], horizon=40, normalized=True)
-    assert f"{truth:.6g}" in text
     row = report.table.query("policy == 'bold' and estimator == 'simulator'").iloc[0]
     assert_allclose(row["error"], row["value"] - truth, rtol=1e-12)
-    short = ["policy", "estimator", "value", "90% interval", "error", "note"]
+    short = ["policy", "value", "90% interval", "simulator says", "P(best)"]
+    short += ["below the top row by", "exact value"]
     long = [
-        *short[:4],
+        "policy",
+        "estimator",
+        "value",
+        "90% interval",
         "std. error",
         "error",
         "eff. n",
@@ -150,7 +153,8 @@ def test_warnings_say_what_the_numbers_do_not():
         "model-based (policy): in this estimator's own model the policy spends " in text
     )
     # of the default, this is said beside the interval
-    assert "The interval lets the " in report.headline
+    assert "state-action pairs were never recorded, and the policy" in report.headline
+    assert "never recorded" not in report.brief
     assert "oee (policy): in this estimator's own model" not in text
     assert "the effective sample size is" in text
     assert report.notes["policy", "model-based"]
@@ -431,15 +435,16 @@ def answer(**changes):
         (
             {"coverage": 0.17, "lower": -20.0, "upper": 5.0},
             (
-                "The log covers 17.0% of what the policy “new” does: between −20 and 5"
-                " (95% interval); the simulator says −7."
+                "The log covers only 17.0% of what the policy “new” does, so its value in"
+                " the target is known only to be between −20 and 5 (95% interval); the"
+                " simulator says −7."
             ),
         ),
         (
             {"coverage": 0.17, "lower": None, "upper": None, "simulator": None},
             (
-                "The log covers 17.0% of what the policy “new” does: about −6.410,"
-                " without an interval."
+                "The log covers only 17.0% of what the policy “new” does, so its value in"
+                " the target, about −6.410, has no interval."
             ),
         ),
         (
@@ -498,22 +503,24 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.test_of_simulator(-29.04, 1, 739, is_rejected=True),
             (
-                "Together the recorded transitions reject the simulator (z = -29.0: what"
-                " it calls likely happens less often than it says). By themselves, 1 of"
-                " the 739 recorded state-action pairs rejects it."
+                "The target differs from the simulator. Together the recorded transitions"
+                " reject the simulator (z = -29.0 standard deviations: what it calls"
+                " likely happens less often than it says). 1 of the 739 recorded"
+                " state-action pairs rejects it by itself."
             ),
         ),
         (
             text.test_of_simulator(24.51, 0, 1200, is_rejected=True),
             (
-                "Together the recorded transitions reject the simulator (z = 24.5: what"
-                " it calls likely happens more often than it says). By itself, none of"
-                " the 1,200 recorded state-action pairs does."
+                "The target differs from the simulator. Together the recorded transitions"
+                " reject the simulator (z = 24.5 standard deviations: what it calls"
+                " likely happens more often than it says). No single one of the 1,200"
+                " recorded state-action pairs rejects it by itself."
             ),
         ),
         (
             text.test_of_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
-            "By itself, each of the 6 recorded state-action pairs does as well.",
+            "Each of the 6 recorded state-action pairs rejects it by itself as well.",
         ),
         (
             text.test_of_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],
@@ -522,13 +529,14 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.test_of_simulator(0.52, 3, 40, is_rejected=False),
             (
-                "The recorded transitions reject the simulator: 3 of the 40 recorded"
-                " state-action pairs do so by themselves. In all of them together, what"
-                " it calls likely is as frequent as it says (z = 0.5)."
+                "The target differs from the simulator. The recorded transitions reject"
+                " the simulator: 3 of the 40 recorded state-action pairs do so by"
+                " themselves. In all of them together, what it calls likely is as"
+                " frequent as it says (z = 0.5)."
             ),
         ),
         (
-            text.test_of_simulator(0.52, 1, 40, is_rejected=False).split(". ")[0],
+            text.test_of_simulator(0.52, 1, 40, is_rejected=False).split(". ")[1],
             (
                 "The recorded transitions reject the simulator: 1 of the 40 recorded"
                 " state-action pairs does so by itself"
@@ -561,31 +569,35 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.assumption(3.0, 6, 0.06, (-45.2, -31.1), (-173.2, -31.7)),
             (
-                "The interval lets the 6 pairs that were never recorded, 6.0% of the"
-                " policy's time, differ from the estimate by a factor of three; if they"
-                " behave as estimated: −45 to −31; if they may do anything: −173 to −32."
+                "6 state-action pairs were never recorded, and the policy spends 6.0% of"
+                " its time in them. The interval assumes that their probabilities are"
+                " within a factor of three of the estimated ones. If they are as"
+                " estimated, it is −45 to −31; if they can be anything, −173 to −32."
             ),
         ),
         (
             text.assumption(1.0, 1, None, None, (-2.0, 1.0)),
             (
-                "The interval takes the pair that was never recorded as estimated; if"
-                " it may do anything: −2.0 to 1.0."
+                "One state-action pair was never recorded. The interval takes its"
+                " probabilities as estimated. If they can be anything, it is −2.0 to"
+                " 1.0."
             ),
         ),
         (
             text.assumption(math.inf, 1200, 0.5, (-2.0, 1.0), None, has_box=True),
             (
-                "The interval lets the 1,200 pairs that were never recorded, 50.0% of"
-                " the policy's time, do anything that the box allows; if they behave as"
-                " estimated: −2.0 to 1.0."
+                "1,200 state-action pairs were never recorded, and the policy spends"
+                " 50.0% of its time in them. The interval lets their probabilities be"
+                " anything that the box allows. If they are as estimated, it is −2.0 to"
+                " 1.0."
             ),
         ),
         (
             text.assumption(2.5, 2, 0.02, None, None),
             (
-                "The interval lets the 2 pairs that were never recorded, 2.0% of the"
-                " policy's time, differ from the estimate by a factor of 2.5."
+                "2 state-action pairs were never recorded, and the policy spends 2.0% of"
+                " its time in them. The interval assumes that their probabilities are"
+                " within a factor of 2.5 of the estimated ones."
             ),
         ),
         (
@@ -603,12 +615,35 @@ def test_what_a_policy_is_worth(changes, sentence):
                 " transition."
             ),
         ),
-        (text.omissions(0, 0), ""),
+        (text.omissions(0), ""),
+        (text.omissions(1), "1 more row with --all (in Python: to_text(all=True))."),
+        (text.left_out(0, 0, 0), ""),
         (
-            text.omissions(2, 1),
+            text.left_out(1, 0, 0),
+            "Left out: 1 note (--verbose); in Python: report.to_text(verbose=True).",
+        ),
+        (
+            text.left_out(5, 9, 6),
             (
-                "2 more notes with --verbose and 1 more row with --all (in Python:"
-                " to_text(verbose=True, all=True))."
+                "Left out: 5 notes, 9 rows (--verbose) and 6 rows (--all); in Python:"
+                " report.to_text(verbose=True, all=True)."
+            ),
+        ),
+        (text.provenance(None, (None, None)), ""),
+        (
+            text.provenance((3162, 100), ("log.csv", None)),
+            (
+                "Made from the target's log (log.csv, 3,162 transitions) and the"
+                " simulator (100 states)."
+            ),
+        ),
+        (
+            text.contradiction("a", (0.02, 0.21), (0.9999955, 1.0000026), 1e-9, 0.01),
+            (
+                "The trials of “a” and the log contradict each other (p < 0.0001, below"
+                " 0.01): the trials say 0.02 to 0.21, the log says 1.00. One of them may"
+                " be of another target, of other first states or of another policy. Find"
+                " out which one before either is used."
             ),
         ),
     ],

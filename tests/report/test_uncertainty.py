@@ -119,7 +119,7 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     ) == expected
     (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == expected
-    text = str(report)
+    text = report.to_text(verbose=True)
     page = report.to_html()
     assert str(sure).split(", 95%")[0] in text
     assert "95% interval of corrected (likelihood): " in text
@@ -349,9 +349,9 @@ def test_much_data_of_another_environment():
         even(60_000), {"mine": MINE}, estimators=["oee"], guaranteed=True, target=TARGET
     )
     far, sure, advice = found.uncertainty.sentences
-    assert far.startswith("Together the recorded transitions reject the simulator (z =")
+    assert far.startswith("The target differs from the simulator. Together the")
     assert far.endswith(
-        "By itself, each of the 60 recorded state-action pairs does as well."
+        "Each of the 60 recorded state-action pairs rejects it by itself as well."
     )
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
@@ -360,7 +360,7 @@ def test_much_data_of_another_environment():
     assert sure.startswith(
         "mine: The interval that is guaranteed at any sample size is −"
     )
-    assert f"{sure} {advice}" in " ".join(str(found).split())
+    assert f"{sure} {advice}" in " ".join(found.to_text(verbose=True).split())
     told = json.loads(found.to_json())
     assert told["conclusion"] == list(found.uncertainty.sentences)
     assert [row["method"] for row in told["intervals"]] == ["likelihood", "robust"]
@@ -372,10 +372,10 @@ def test_what_was_never_recorded_comes_first():
     log = oee.sample_transitions(TARGET, share / share.sum(), 5000, seed=0)
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
-    assert advice == "Record action 0 in state 0 first (never recorded)."
+    assert advice == "Record action down in cell (0, 0) first (never recorded)."
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
-    assert "The interval lets the pair that was never recorded, " in answer
-    assert "differ from the estimate by a factor of three; if it behaves as" in answer
+    assert "One state-action pair was never recorded, and the policy spends " in answer
+    assert "within a factor of three of the estimated ones. If they are as" in answer
 
 
 def test_values_are_in_the_reports_unit():
@@ -422,7 +422,8 @@ def test_the_test_of_all_transitions_together_by_hand(seed):
     assert abs(z) > 3.5
     said = sentences_of(Problem(simulator, log), np.zeros(12, dtype=int))[0]
     sign = "less" if z < 0 else "more"
-    assert f"(z = {z:.1f}: what it calls likely happens {sign} often than" in said
+    assert f"(z = {z:.1f} standard deviations: what it calls likely happens" in said
+    assert f"{sign} often than it says" in said
 
 
 def test_differences_are_in_the_reports_unit():

@@ -30,6 +30,7 @@ from oee_tabular.report import (
     choose_interval,
     evaluate,
     group_findings,
+    kinds_of_findings,
     log_cannot_say,
     number_notes,
 )
@@ -300,4 +301,5 @@ def _report_rows(
         horizon,
         seed,
         facts,
+        kinds=kinds_of_findings(results),
     )
