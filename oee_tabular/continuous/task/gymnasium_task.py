@@ -471,7 +471,18 @@ class GymnasiumTask(ContinuousTask):
         return self._parameters
 
     def with_actions(self, actions: Array) -> Self:
-        """Return the task with other actions, which the environment must have."""
+        """Return the task with other actions in place of its own.
+
+        Parameters
+        ----------
+        actions : ndarray of shape (A,) or (A, k)
+            The actions, which the environment must have.
+
+        Returns
+        -------
+        GymnasiumTask
+            A copy with these actions. It steps the same environment.
+        """
         other = super().with_actions(actions)
         other.commands = actions
         return other
