@@ -147,6 +147,15 @@ def test_coarse_levels_are_made_finer():
     assert "actions are taken" in said
 
 
+def test_a_policy_of_coarse_actions_is_one_of_finer_ones():
+    coarse, fine = np.array([[0.0], [1.0]]), np.array([[0.0], [0.5], [1.0]])
+    policy = as_probabilities(brake, coarse)
+    states = np.ones((1, 1))
+    assert_array_equal(policy(states), [[0.5, 0.5]])
+    assert_array_equal(as_probabilities(policy, fine)(states), [[0.0, 1.0, 0.0]])
+    assert as_probabilities(policy, coarse) is policy
+
+
 def test_what_cannot_be_made_finer_is_in_the_interval():
     """Numbers of actions with probabilities hold a log to its actions."""
     task = Slider(3, shift=0.3)

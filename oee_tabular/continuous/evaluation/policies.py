@@ -37,7 +37,9 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
     """
     _checks.function(policy, "policy")
     if isinstance(policy, CommandPolicy):
-        return policy
+        if np.array_equal(policy.actions, actions):
+            return policy
+        policy = policy.policy  # of a task with other actions
     return CommandPolicy(policy, actions)
 
 
