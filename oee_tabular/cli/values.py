@@ -50,11 +50,13 @@ from oee_tabular.cli.options import (
     RewardsOption,
     SeedOption,
     SimulatorOption,
+    SlidesOption,
     SuccessOption,
     TrialsOption,
     UnrecordedOption,
     print_result,
     say,
+    slides_if,
 )
 from oee_tabular.continuous import (
     evaluate_files,
@@ -215,11 +217,12 @@ def evaluate(
         typer.Option(
             "--output",
             metavar="FOLDER",
-            help="Folder for report.json, table.csv and values.png; those of the last"
-            " run are replaced.",
+            help="Folder for report.json, table.csv and values.png, .pdf, .svg; those of"
+            " the last run are replaced.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    slides: SlidesOption = False,
     report: Annotated[
         str | None,
         typer.Option(
@@ -239,6 +242,10 @@ def evaluate(
     """
     from oee_tabular.report import render_intervals
 
+    if slides and output is None:
+        raise ArgumentError(
+            "--slides", "must be given with --output, whose pictures it draws"
+        )
     title, outputs = _read_outputs(output, report, overwrite=overwrite)
     settings = task_options(task_option)
     cells = read_grid(grid)
@@ -347,7 +354,8 @@ def evaluate(
         print_result(shown, record, as_json)
     finally:
         # the files are written whatever becomes of standard output
-        written = _write_report(made, outputs, title)
+        with slides_if(slides):
+            written = _write_report(made, outputs, title)
     if written and not as_json:
         say(f"\nWritten: {', '.join(map(str, written))}")
 
@@ -893,6 +901,7 @@ def reproduce(
             rich_help_panel=OUTPUT,
         ),
     ] = Path("results"),
+    slides: SlidesOption = False,
     fresh: Annotated[
         bool,
         typer.Option(
@@ -920,27 +929,29 @@ def reproduce(
                 "--seed": seed != 0,
                 "--jobs": jobs != -1,
                 "--dask": dask is not None,
+                "--slides": slides,
                 "--fresh": fresh,
             }
         )
         _print_lines(lambda say: say(catalogue.listing()), as_json)
         return
-    _print_lines(
-        lambda say: catalogue.reproduce(
-            experiments or [],
-            everything=run_all,
-            smoke=smoke,
-            seeds=seeds,
-            seed=seed,
-            jobs=jobs,
-            dask=dask,
-            output=output,
-            fresh=fresh,
-            overwrite=overwrite,
-            say=say,
-        ),
-        as_json,
-    )
+    with slides_if(slides):
+        _print_lines(
+            lambda say: catalogue.reproduce(
+                experiments or [],
+                everything=run_all,
+                smoke=smoke,
+                seeds=seeds,
+                seed=seed,
+                jobs=jobs,
+                dask=dask,
+                output=output,
+                fresh=fresh,
+                overwrite=overwrite,
+                say=say,
+            ),
+            as_json,
+        )
 
 
 def _refuse_beside_list(is_given: Mapping[str, bool]) -> None:
@@ -1032,6 +1043,7 @@ def bench(
             rich_help_panel=OUTPUT,
         ),
     ] = Path("results/bench"),
+    slides: SlidesOption = False,
     label: Annotated[
         list[str] | None,
         typer.Option(
@@ -1058,24 +1070,25 @@ def bench(
     """
     from oee_tabular.lab.bench import bench as run
 
-    _print_lines(
-        lambda say: run(
-            estimators=estimators,
-            families=families,
-            sizes=sizes,
-            seeds=seeds,
-            timeout=timeout,
-            seed=seed,
-            jobs=jobs,
-            dask=dask,
-            output=output,
-            fresh=fresh,
-            overwrite=overwrite,
-            labels=label or (),
-            say=say,
-        ),
-        as_json,
-    )
+    with slides_if(slides):
+        _print_lines(
+            lambda say: run(
+                estimators=estimators,
+                families=families,
+                sizes=sizes,
+                seeds=seeds,
+                timeout=timeout,
+                seed=seed,
+                jobs=jobs,
+                dask=dask,
+                output=output,
+                fresh=fresh,
+                overwrite=overwrite,
+                labels=label or (),
+                say=say,
+            ),
+            as_json,
+        )
 
 
 def check(
