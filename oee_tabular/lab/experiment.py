@@ -531,7 +531,9 @@ def share_legend(figure: Any) -> None:
         for ax in drawn
     ]
     most: dict[str, Any] = max(entries, key=len, default={})
-    if len(most) <= 3 or any(entry.keys() - most.keys() for entry in entries):
+    # legends inside of a slide's panels would cover their curves
+    n_few = 1 if has_slides() and len(drawn) > 1 else 3
+    if len(most) <= n_few or any(entry.keys() - most.keys() for entry in entries):
         return
     for ax in drawn:
         ax.legend().remove()

@@ -111,13 +111,12 @@ def plot_policy(mdp: FiniteMDP, policy: PolicyLike, ax: Axes | None = None) -> A
     is_shown = (probabilities > MIN_SHOWN_PROBABILITY) & (places.cell >= 0)[:, None]
     is_shown &= ~mdp.closed()[:, None]
     state, action = np.nonzero(is_shown)
-    step = towards[state, action]
+    step: Array = towards[state, action]
     # one arrow for each state and direction, with the probabilities of its actions
     key = np.column_stack([state, step.round(DIRECTION_DIGITS) + 0.0])
     _, first, shared = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    weight: Array = np.bincount(
-        shared.reshape(-1), weights=probabilities[state, action], minlength=len(first)
-    )
+    weight = np.zeros(len(first))
+    np.add.at(weight, shared.reshape(-1), probabilities[state, action])
     row, column = np.divmod(places.cell[state[first]], len(places.columns))
     middles = np.column_stack([column, row]) + 0.5
     step = step[first]

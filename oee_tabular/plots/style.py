@@ -8,6 +8,7 @@ import itertools
 import math
 import os
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -117,6 +118,7 @@ SLIDE_INCHES = (6.0, 3.375)
 SLIDE_DPI = 320
 MIN_SLIDE_POINTS = 8.0
 MAX_SHRINKING = 1.6  # of a figure's inches on a slide, with letters as they are
+N_LABEL_LETTERS = 10.0  # of an axis' label, in an inch
 MAX_SLIDE_ROWS = 12  # of a forest plot, with its headings
 _SLIDE_STYLE: dict[Any, Any] = {
     "figure.figsize": SLIDE_INCHES,
@@ -191,8 +193,8 @@ def label_rows(ax: Axes, labels: Any) -> None:
     ax.set_yticks(range(len(labels)), labels)
     ax.set_ylim(max(len(labels), 1) - 0.4, -0.6)
     if has_slides():
-        # the title and the axis take the rest of the height
-        height_points = 72.0 * 0.62 * SLIDE_INCHES[1] / max(len(labels), 1)
+        # the title takes a part of the height that the axes have now
+        height_points = 72.0 * 0.8 * _inches(ax)[1] / max(len(labels), 1)
         ax.tick_params(axis="y", labelsize=min(10.5, 0.9 * height_points))
     ax.tick_params(axis="y", length=0)
     disable_math(ax.get_yticklabels())
@@ -319,7 +321,19 @@ def fit_slide(figure: Any) -> bool:
         )
     figure.set_size_inches([scale * inches for inches in SLIDE_INCHES])
     figure.set_dpi(SLIDE_DPI / scale)
+    for ax in figure.axes:
+        for label, inches in zip(
+            (ax.xaxis.label, ax.yaxis.label), _inches(ax), strict=True
+        ):
+            letters = int(N_LABEL_LETTERS * inches)
+            label.set_text(textwrap.fill(label.get_text(), max(letters, 12)))
     return True
+
+
+def _inches(ax: Axes) -> tuple[float, float]:
+    """Return the width and the height of axes before they are laid out."""
+    box = ax.get_window_extent()
+    return box.width / ax.figure.dpi, box.height / ax.figure.dpi
 
 
 def draw_or_warn(name: str, draw: Callable[[], Picture]) -> Picture | None:
