@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 # cells up to which each is a shape of its own; larger maps are images
 N_VECTOR_CELLS = 1600
-N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
+# rows and columns up to which cells can hold text, elsewhere and on a slide
+N_TEXT_CELLS = 12
+N_TEXT_CELLS_OF_SLIDE = 8
 
 
 @suggest_keywords
@@ -58,7 +60,7 @@ def plot_grid(
         Name of a colour map of matplotlib.
     text : sequence of str, optional
         A word for each state, written into its cell (left out beyond 12 rows or
-        columns).
+        columns, on a slide beyond 8).
     crossed : array_like of bool, shape (S,), optional
         States to cross out.
     ticks : RealArrayLike, optional
@@ -133,7 +135,9 @@ def plot_grid(
         xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
     )
     _cross_out(ax, places, is_crossed, is_image)
-    if max(rows, columns) <= N_TEXT_CELLS:
+    if max(rows, columns) <= (
+        N_TEXT_CELLS_OF_SLIDE if style.has_slides() else N_TEXT_CELLS
+    ):
         _write(ax, mesh, cells, places, words)
     label_axes(ax, places)
     ax.spines[:].set_visible(False)

@@ -2,13 +2,12 @@
 
 An arrow of action a in state s shows pi(a | s) by its length. It points along the mean
 displacement of the action, sum_s' P(s' | s, a) (place[s'] - place[s]). Before a wall,
-where some of the displacements that the action has elsewhere lead off the map, it
-points where it does elsewhere.
+displacements that the action has elsewhere lead off the map: they count as well, if its
+others are as likely as elsewhere.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,7 @@ from oee_tabular.plots import style
 from oee_tabular.plots.grids import N_TEXT_CELLS, N_VECTOR_CELLS, label_axes
 from oee_tabular.plots.maps import Map, map_of
 from oee_tabular.plots.style import INK, PAPER
-from oee_tabular.typing import Array, IntArray, PolicyLike
+from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +36,8 @@ LONGEST_CELLS = 0.36
 MIN_SHOWN_PROBABILITY = 1e-9  # below it is what is left of rounding
 MIN_STEP_CELLS = 1e-6  # mean displacement below which an action leads nowhere
 DIRECTION_DIGITS = 3  # to which unit vectors are compared
-MAX_REFERENCES = 32  # sets of displacements that may be the action's own
+MAX_DISPLACEMENTS = 64  # of an action, up to which walls are looked for
+PROBABILITY_TOLERANCE = 1e-6  # to which an action is alike in two states
 MAX_PATHS = 20
 CELL_COLOR = "#f1f3f4"
 OVER_COLOR = "#d5d9dd"
@@ -170,63 +170,67 @@ def _circle(middle: tuple[float, float], radius: float, **options: Any) -> Any:
 def _directions(mdp: FiniteMDP, places: Map) -> Array:
     """Return the unit vector (row, column) of each action in each state, (S, A, 2).
 
-    It is 0 where an action stays.
+    It is 0 where an action leads nowhere.
     """
     matrix = mdp.transitions
-    pair = row_of_entry(matrix)
-    start = pair // mdp.n_actions
+    start, action = np.divmod(row_of_entry(matrix), mdp.n_actions)
     end = matrix.indices
     where = np.column_stack(np.divmod(places.cell, len(places.columns)))
     step = where[end] - where[start]
-    moves = (places.cell[start] >= 0) & (places.cell[end] >= 0) & (matrix.data > 0)
-    moves &= step.any(axis=1)
-    weight = np.where(moves, matrix.data, 0.0)
-    n_pairs = mdp.n_states * mdp.n_actions
-    total = np.column_stack(
-        [
-            np.bincount(pair, weights=weight * step[:, k], minlength=n_pairs)
-            for k in (0, 1)
-        ]
-    ).reshape(mdp.n_states, mdp.n_actions, 2)
-    size = np.linalg.norm(total, axis=2, keepdims=True)
-    result: Array = np.divide(
-        total, size, out=np.zeros_like(total), where=size > MIN_STEP_CELLS
+    moves = (places.cell[start] >= 0) & (places.cell[end] >= 0) & step.any(axis=1)
+    is_live = (places.cell >= 0) & ~mdp.closed()
+    result = np.zeros((mdp.n_states, mdp.n_actions, 2))
+    for a in range(mdp.n_actions):
+        own = np.flatnonzero(moves & (action == a))
+        if len(own):
+            steps, kind = np.unique(step[own], axis=0, return_inverse=True)
+            entries = start[own], kind.reshape(-1), matrix.data[own]
+            result[:, a] = _mean_steps(entries, steps, where, is_live)
+    size = np.linalg.norm(result, axis=2, keepdims=True)
+    directions: Array = np.divide(
+        result, size, out=np.zeros_like(result), where=size > MIN_STEP_CELLS
     )
-    steps: list[set[tuple[int, int]]] = [set() for _ in range(n_pairs)]
-    for k in np.flatnonzero(moves):
-        steps[pair[k]].add((int(step[k, 0]), int(step[k, 1])))
-    taken = {(int(row), int(column)) for row, column in where[places.cell >= 0]}
-    for action in range(mdp.n_actions):
-        sets = [frozenset(found) for found in steps[action :: mdp.n_actions]]
-        reference = _reference(sets)
-        model = result[sets.index(reference), action].copy()
-        for state in np.flatnonzero(places.cell >= 0):
-            row, column = where[state]
-            missing = reference - sets[state]
-            is_before_wall = sets[state] < reference and not any(
-                (row + down, column + right) in taken for down, right in missing
-            )
-            if is_before_wall:
-                result[state, action] = model
-    return result
+    return directions
 
 
-def _reference(
-    sets: Sequence[frozenset[tuple[int, int]]],
-) -> frozenset[tuple[int, int]]:
-    """Return the displacements of an action where no wall is.
+def _mean_steps(
+    entries: tuple[IntArray, IntArray, Array],
+    steps: IntArray,
+    where: IntArray,
+    is_live: BoolArray,
+) -> Array:
+    """Return the mean displacement of one action in each state, (S, 2).
 
-    Of the common sets it is the one that contains those of most states, and the
-    smallest of several.
+    ``entries`` are the states, the rows of ``steps`` and the probabilities of its
+    transitions. p_d is the median probability of displacement d over the states from
+    which d leads to a state. Where the action has all these p_d, what lies off the map
+    is counted as if it were there.
     """
-    counts = Counter(sets)
-    return max(
-        (found for found, _ in counts.most_common(MAX_REFERENCES)),
-        key=lambda found: (
-            sum(n for other, n in counts.items() if other <= found),
-            -len(found),
-        ),
+    state, kind, probability = entries
+    mean = np.zeros((len(where), 2))
+    np.add.at(mean, state, probability[:, None] * steps[kind])
+    if len(steps) > MAX_DISPLACEMENTS:
+        return mean
+    table = np.zeros((len(where), len(steps)))
+    np.add.at(table, (state, kind), probability)
+    shape = where.max(axis=0) + 1
+    taken = np.zeros(shape, dtype=np.bool_)
+    taken[tuple(where[where[:, 0] >= 0].T)] = True
+    ends = where[:, None, :] + steps
+    is_inside = ((ends >= 0) & (ends < shape)).all(axis=2)
+    is_on_map = is_inside & taken[tuple(np.where(is_inside[..., None], ends, 0).T)].T
+    typical = np.array(
+        [
+            np.median(column[on & is_live]) if (on & is_live).any() else 0.0
+            for column, on in zip(table.T, is_on_map.T, strict=True)
+        ]
     )
+    if typical.sum() > 1.0 + PROBABILITY_TOLERANCE:
+        return mean
+    is_typical = ((np.abs(table - typical) <= PROBABILITY_TOLERANCE) | ~is_on_map).all(
+        axis=1
+    )
+    return np.where(is_typical[:, None], typical @ steps, mean)
 
 
 @suggest_keywords
@@ -340,8 +344,8 @@ def _paths_of_log(
     mdp: FiniteMDP, log: Transitions, n_shown: int
 ) -> tuple[list[IntArray], int]:
     """Return the states of a log's first episodes, and how many episodes there are."""
-    starts = log.episode_starts
-    if starts is None or not len(log):
+    bounds = log.episode_starts
+    if bounds is None or not len(log):
         lacks = "has no episodes" if len(log) else "is empty"
         raise ArgumentError(
             "paths",
@@ -349,12 +353,12 @@ def _paths_of_log(
             " (Transitions(..., episode=) says which transitions belong together)",
         )
     numbered = log.numbered(mdp, "paths")
-    ends = [*starts[1:], len(log)]
     found = []
-    for start, end in list(zip(starts, ends, strict=True))[:n_shown]:
+    shown = bounds[: n_shown + 1]
+    for start, end in zip(shown[:-1], shown[1:], strict=True):
         states = [*numbered.state[start:end], numbered.next_state[end - 1]]
         found.append(_numbers(mdp, states, "paths"))
-    return found, len(starts)
+    return found, len(bounds) - 1
 
 
 def cell_of_each(mdp: FiniteMDP, places: Map) -> IntArray:

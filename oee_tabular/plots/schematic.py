@@ -12,14 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 WIDTH, HEIGHT = 16.0, 9.0  # units of the drawing
-TITLE = "What is asked: the value in the target of a policy that a simulator made"
-DESCRIPTION = (
-    "Five boxes with arrows between them. The simulator, whose transition probabilities"
-    " are known and somewhat wrong, makes the policy. The target, the real robot, whose"
-    " probabilities are unknown, records a log of a few transitions under another"
-    " policy. The policy is not run in the target. From simulator, policy and log the"
-    " value of the policy in the target is estimated, with a 95% interval."
-)
 
 
 class Box(NamedTuple):

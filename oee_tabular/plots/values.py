@@ -469,7 +469,8 @@ def plot_states(
     ax : matplotlib.axes.Axes, optional
         Where to draw. None makes a new figure.
     top : int, default 20
-        How many states to show; those without time are left out.
+        How many states to show; those without time are left out. A slide shows at most
+        twelve.
     names : sequence of str, optional
         Names of the states; None means their numbers.
     xlabel : str
@@ -521,7 +522,10 @@ def plot_states(
             f"must have {len(share)} entries, one a state; it has {len(called)}",
         )
     check_texts(xlabel=xlabel)
-    order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
+    n_shown = _checks.positive_integer(top, "top")
+    if style.has_slides():
+        n_shown = min(n_shown, style.MAX_SLIDE_ROWS)
+    order = np.argsort(-share, kind="stable")[:n_shown]
     order = order[share[order] > 0]
     y = np.arange(len(order))
     good = 100.0 * known[order]

@@ -42,7 +42,8 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
         "evaluate --output out --estimators simulator --discount 0.9 --horizon 50"
         " --policy uniform --raw"
     )
-    assert "\nWritten: out/report.json, out/table.csv, out/values.png\n" in again
+    files = ("report.json", "table.csv", "values.png", "values.pdf", "values.svg")
+    assert f"\nWritten: {', '.join(f'out/{name}' for name in files)}\n" in again
     assert "t = 0..49, discount 0.9" in again
     assert "(1 - discount)" in out
     assert "(1 - discount)" not in again
