@@ -764,7 +764,16 @@ def plots_values(known):
         "Map.spread": {"values": np.ones(9)},
         "Map.place": {"state": 0},
     }
+    folder = Path(tempfile.gettempdir())
+    own_map["animate_two"] = {
+        "simulator": known["simulator"],
+        "target": known["target"],
+        "policy": known["policies"]["expert"],
+        "path": folder / "new.gif",
+        "horizon": 2,
+    }
     drawn = {
+        "save_figure": size | {"path": folder / "new.png"},
         "figure_png": size,
         "figure_svg": size | {"title": "t", "description": "d"},
     }
