@@ -24,7 +24,6 @@ import pandas as pd
 from oee_tabular import _checks, _files
 from oee_tabular.plots import (
     INK,
-    KINDS,
     draw_or_warn,
     fit_slide,
     has_slides,
@@ -497,7 +496,10 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
 
 
 def draw_bytes(
-    draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = KINDS
+    draw: Callable[[Any], None],
+    *,
+    salt: str,
+    kinds: tuple[str, ...] = ("svg", "png", "pdf"),
 ) -> dict[str, bytes]:
     """Return the bytes of the figure that ``draw`` makes, by kind, without a date."""
     from matplotlib.figure import Figure

@@ -37,7 +37,6 @@ from oee_tabular.plots.style import (
 )
 from oee_tabular.plots.style import DIVERGING as DIVERGING
 from oee_tabular.plots.style import INK as INK
-from oee_tabular.plots.style import KINDS as KINDS
 from oee_tabular.plots.style import disable_math as disable_math
 from oee_tabular.plots.style import draw_or_warn as draw_or_warn
 from oee_tabular.plots.style import figure_files as figure_files

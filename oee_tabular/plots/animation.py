@@ -178,7 +178,7 @@ class Robot:
         trail: dict[str, Any] = {"solid_joinstyle": "round", "zorder": 4}
         (self.trail,) = ax.plot([], [], color=color, lw=2.0, alpha=0.6, **trail)
         look: dict[str, Any] = {"mfc": color, "mec": PAPER, "mew": 1.5, "zorder": 5}
-        size = max(5.0, min(16.0, 90.0 / max(ax.get_xlim()[1], ax.get_ylim()[0])))
+        size = max(5.0, min(14.0, 60.0 / max(ax.get_xlim()[1], ax.get_ylim()[0])))
         (self.body,) = ax.plot([], [], "o", ms=size, **look)
 
     def show(self, step: int) -> None:
