@@ -6,8 +6,10 @@ lines differ as well. Axes are labelled, with units.
 - ``values``, ``curves``: intervals, bars and curves
 - ``maps``, ``grids``: where states lie on a grid; heat maps of them
 - ``paths``, ``animation``: policies and episodes on a map, in a picture and in a GIF
-- ``schematic``: simulator, target, policy, log and value
-- ``style``: colours, files (``save_figure``, ``figure_png``, ``figure_svg``), ``slides``
+- ``diagram``: simulator, target, policy, log and value
+- ``files``: PNG, PDF and SVG files
+- ``slide_style``: slides, 1920 x 1080 pixels with large letters
+- ``style``: colours, markers and lines
 """
 
 from oee_tabular.plots.animation import animate_two
@@ -17,6 +19,9 @@ from oee_tabular.plots.curves import (
     plot_errors,
     plot_variance_growth,
 )
+from oee_tabular.plots.diagram import schematic
+from oee_tabular.plots.files import figure_files as figure_files
+from oee_tabular.plots.files import figure_png, figure_svg, save_figure
 from oee_tabular.plots.grids import (
     plot_coverage,
     plot_grid,
@@ -25,23 +30,14 @@ from oee_tabular.plots.grids import (
 )
 from oee_tabular.plots.maps import Map, detect_grid, map_of
 from oee_tabular.plots.paths import plot_paths, plot_policy
-from oee_tabular.plots.schematic import schematic
-from oee_tabular.plots.style import (
-    COLORS,
-    LINES,
-    MARKERS,
-    figure_png,
-    figure_svg,
-    save_figure,
-    slides,
-)
+from oee_tabular.plots.slide_style import fit_slide as fit_slide
+from oee_tabular.plots.slide_style import has_slides as has_slides
+from oee_tabular.plots.slide_style import slides
+from oee_tabular.plots.style import COLORS, LINES, MARKERS
 from oee_tabular.plots.style import DIVERGING as DIVERGING
 from oee_tabular.plots.style import INK as INK
 from oee_tabular.plots.style import disable_math as disable_math
 from oee_tabular.plots.style import draw_or_warn as draw_or_warn
-from oee_tabular.plots.style import figure_files as figure_files
-from oee_tabular.plots.style import fit_slide as fit_slide
-from oee_tabular.plots.style import has_slides as has_slides
 from oee_tabular.plots.style import own_style as own_style
 from oee_tabular.plots.style import series as series
 from oee_tabular.plots.style import shorten as shorten

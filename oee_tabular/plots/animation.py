@@ -16,6 +16,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import style
 from oee_tabular.plots.paths import cell_of_each, draw_cells, require_map
+from oee_tabular.plots.slide_style import SLIDE_DPI, SLIDE_INCHES, has_slides
 from oee_tabular.plots.style import COLORS, PAPER
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array, PolicyLike, Seed
@@ -201,8 +202,8 @@ def _gif(mdp: FiniteMDP, walks: list[Walk], speed: float) -> bytes:
 
     places = require_map(mdp)
     with style.own_style(), tempfile.TemporaryDirectory() as folder:
-        shape = style.SLIDE_INCHES if style.has_slides() else SIZE_INCHES
-        dpi = style.SLIDE_DPI if style.has_slides() else DPI
+        shape = SLIDE_INCHES if has_slides() else SIZE_INCHES
+        dpi = SLIDE_DPI if has_slides() else DPI
         figure = Figure(figsize=shape, dpi=dpi, layout="constrained")
         canvas: Any = FigureCanvasAgg(figure)
         robots = []

@@ -12,6 +12,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import style
 from oee_tabular.plots.maps import Map, as_map
+from oee_tabular.plots.slide_style import has_slides
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
 from oee_tabular.typing import BoolArray, RealArrayLike
 
@@ -135,9 +136,7 @@ def plot_grid(
         xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
     )
     _cross_out(ax, places, is_crossed, is_image)
-    if max(rows, columns) <= (
-        N_TEXT_CELLS_OF_SLIDE if style.has_slides() else N_TEXT_CELLS
-    ):
+    if max(rows, columns) <= (N_TEXT_CELLS_OF_SLIDE if has_slides() else N_TEXT_CELLS):
         _write(ax, mesh, cells, places, words)
     label_axes(ax, places)
     ax.spines[:].set_visible(False)

@@ -13,6 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError, OutputWarning
 from oee_tabular.plots import style
+from oee_tabular.plots.slide_style import MAX_SLIDE_ROWS, has_slides
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
 from oee_tabular.typing import Array, IntArray, RealArrayLike
 
@@ -117,7 +118,7 @@ def plot_values(
         raise ArgumentError(
             "records", "must hold at least one finite value; there is nothing to draw"
         )
-    if style.has_slides():
+    if has_slides():
         rows = _rows_of_slide(rows)
     policies = [row["policy"] for row in rows]
     ordered = sorted(rows, key=lambda row: policies.index(row["policy"]))
@@ -147,16 +148,16 @@ def _rows_of_slide(rows: Sequence[Mapping[str, Any]]) -> Sequence[Mapping[str, A
     """
     names = list(dict.fromkeys(row["estimator"] for row in rows))
     n_policies = len({row["policy"] for row in rows})
-    if len(rows) + n_policies <= style.MAX_SLIDE_ROWS:
+    if len(rows) + n_policies <= MAX_SLIDE_ROWS:
         return rows
-    room = max(1, style.MAX_SLIDE_ROWS // n_policies - 1)
+    room = max(1, MAX_SLIDE_ROWS // n_policies - 1)
     wanted = sorted(names, key=lambda name: (name != "oee", name != "simulator"))
     kept = [row for row in rows if row["estimator"] in wanted[:room]]
     left_out = ", ".join(map(shorten, wanted[room:]))
     if not left_out or not any(math.isfinite(row["value"]) for row in kept):
         return rows
     _checks.warn(
-        f"a slide has room for {style.MAX_SLIDE_ROWS} lines: the picture of values"
+        f"a slide has room for {MAX_SLIDE_ROWS} lines: the picture of values"
         f" leaves out {left_out} (the table has them; estimators=, or --estimators,"
         " says which are evaluated)",
         OutputWarning,
@@ -523,8 +524,8 @@ def plot_states(
         )
     check_texts(xlabel=xlabel)
     n_shown = _checks.positive_integer(top, "top")
-    if style.has_slides():
-        n_shown = min(n_shown, style.MAX_SLIDE_ROWS)
+    if has_slides():
+        n_shown = min(n_shown, MAX_SLIDE_ROWS)
     order = np.argsort(-share, kind="stable")[:n_shown]
     order = order[share[order] > 0]
     y = np.arange(len(order))
