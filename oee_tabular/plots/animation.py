@@ -18,7 +18,6 @@ from oee_tabular.plots import style
 from oee_tabular.plots.paths import cell_of_each, draw_cells, require_map
 from oee_tabular.plots.slide_style import SLIDE_DPI, SLIDE_INCHES, has_slides
 from oee_tabular.plots.style import COLORS, PAPER
-from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array, PolicyLike, Seed
 
 if TYPE_CHECKING:
@@ -147,6 +146,9 @@ def walk(
     mdp: FiniteMDP, simulator: FiniteMDP, policy: Array, horizon: int, seed: int
 ) -> Walk:
     """Sample an episode as points on the simulator's map, with the return so far."""
+    # imports numba, which other pictures do without
+    from oee_tabular.simulate import sample_episodes
+
     log = sample_episodes(mdp, policy, 1, horizon, seed=seed)
     places = require_map(simulator, "simulator")
     states = [*log.state, log.next_state[-1]]
