@@ -16,7 +16,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular._sparse import row_of_entry
-from oee_tabular.data import Transitions
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy, number_of
 from oee_tabular.plots import style
@@ -27,6 +26,8 @@ from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from oee_tabular.data import Transitions
 
 # of an arrow, in cells: how far it begins from the middle of its cell, and its length
 # at probability 0 and 1
@@ -315,6 +316,9 @@ def _check_paths(
     mdp: FiniteMDP, paths: object, n_shown: int
 ) -> tuple[list[IntArray], int]:
     """Return the first paths as numbers of states, and how many there are."""
+    # loaded on use: other pictures do without logs
+    from oee_tabular.data import Transitions
+
     if isinstance(paths, Transitions):
         return _paths_of_log(mdp, paths, n_shown)
     given = _checks.collection(paths, "paths", "a log, states, or lists of states")
