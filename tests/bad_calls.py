@@ -786,6 +786,31 @@ plot_states([1.0], [1], names=[])  ->  names must have 1 entries, one a state
 figure_png(print, size=(0, 1))  ->  size must be from 0.1 to 100 inches
 figure_png(3)  ->  draw must be a function
 label_ends(3)  ->  ax must be matplotlib Axes
+save_figure(print, "a.gif")  ->  path must end in .png or .pdf or .svg; it is 'a.gif'
+save_figure(print, "png")  ->  path must end in .png or .pdf or .svg; it is 'png'
+save_figure(3, "a.png")  ->  draw must be a function
+save_figure(print, "a.svg", size=(1, 101))  ->  size must be from 0.1 to 100 inches
+schematic(3)  ->  ax must be matplotlib Axes
+plot_policy(GRID, UNIFORM, 3)  ->  ax must be matplotlib Axes
+plot_policy(GRID, 2 * UNIFORM)  ->  policy[0] must sum to 1
+plot_policy(CHAIN, ONLY[:1])  ->  mdp must have states on a grid; its ...layout=
+plot_policy(COIN, ONLY)  ->  mdp must have states on a grid; its 2 states have no (row, column) ...layout=), says
+plot_paths(COIN, [0, 1])  ->  mdp must have states on a grid; its 2 states have no (row, column) ...layout=
+plot_paths(GRID, [])  ->  paths must hold at least one state; it is empty
+plot_paths(GRID, [[0, 1], []])  ->  paths[1] must hold at least one state; it is empty
+plot_paths(GRID, [0, 9])  ->  paths[1] must be in 0..8; it is 9
+plot_paths(GRID, [[0], [1, -1]])  ->  paths[1][1] must be in 0..8; it is -1
+plot_paths(GRID, [0, "start"])  ->  paths[1] must be a number in 0..8, since the MDP has no names
+plot_paths(GRID, 3)  ->  paths must be
+plot_paths(GRID, FAR)  ->  paths must be a log with episodes, or lists of states; the log has no episodes
+plot_paths(GRID, [0], max_paths=0)  ->  max_paths must be a positive integer
+animate_two(GRID, GRID, UNIFORM, "a.png", seed=0)  ->  path must end in .gif; it is 'a.png'
+animate_two(COIN, COIN, ONLY, "a.gif", seed=0)  ->  simulator must have states on a grid; ...layout=
+animate_two(GRID, COIN, UNIFORM, "a.gif", seed=0)  ->  target must have the simulator's 9 states; it has 2
+animate_two(GRID, GRID, 2 * UNIFORM, "a.gif", seed=0)  ->  policy[0] must sum to 1
+animate_two(GRID, GRID, UNIFORM, "a.gif", seed=0, horizon=201)  ->  horizon must be at most 200
+animate_two(GRID, GRID, UNIFORM, "a.gif", seed=0, frames_per_second=0)  ->  frames_per_second must be in [0.1, 50]
+animate_two(GRID, GRID, UNIFORM, "a.gif", seed="x")  ->  seed must be what numpy
 
 # theorems
 kl_path_sides(CHAIN, CHAIN.transitions, ONLY)  ->  model must be a FiniteMDP or a ReweightedModel

@@ -749,6 +749,9 @@ def plots_values(known):
         "plot_ratio": cells | {"values": [1.0, 2.0]},
         "plot_coverage": cells | {"counts": [3, 0]},
         "plot_occupancy": cells | {"time": [0.2, 0.8]},
+        "plot_policy": {"mdp": known["target"], "policy": known["policies"]["expert"]},
+        "plot_paths": {"mdp": known["target"], "paths": [0, 1, 2]},
+        "schematic": {},
         "label_ends": {},
         "Report.plot": {},
         "Interval.plot": {},
@@ -761,7 +764,16 @@ def plots_values(known):
         "Map.spread": {"values": np.ones(9)},
         "Map.place": {"state": 0},
     }
+    folder = Path(tempfile.gettempdir())
+    own_map["animate_two"] = {
+        "simulator": known["simulator"],
+        "target": known["target"],
+        "policy": known["policies"]["expert"],
+        "path": folder / "new.gif",
+        "horizon": 2,
+    }
     drawn = {
+        "save_figure": size | {"path": folder / "new.png"},
         "figure_png": size,
         "figure_svg": size | {"title": "t", "description": "d"},
     }

@@ -416,6 +416,7 @@ OTHERWISE = {
     ],
     "target": ["Reacher", "reacher_policy", "evaluate_continuous"],
     "path": ["Report.to_html", "Improvement.to_html"],
+    "paths": ["plot_paths"],
     "discount": ["TransitionCounts.counts"],
     "timestep": ["Transitions.from_frame"],
     "n": ["plot_errors", "Case.logs"],

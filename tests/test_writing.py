@@ -41,7 +41,7 @@ FILES = {
     ),
     "report": (f"{EVALUATE} --report", "page.html"),
 }
-REPORT = ("report.json", "table.csv", "values.png")
+REPORT = ("report.json", "table.csv", "values.png", "values.pdf", "values.svg")
 
 
 @pytest.fixture
@@ -285,7 +285,8 @@ def test_the_first_command_of_the_readme_runs_twice(command):
     code, said = command("evaluate --output oee-output --estimators simulator,oee")
     assert code == 0
     assert said.endswith(
-        "Written: oee-output/report.json, oee-output/table.csv, oee-output/values.png"
+        "Written: oee-output/report.json, oee-output/table.csv, oee-output/values.png,"
+        " oee-output/values.pdf, oee-output/values.svg"
     )
     assert Path("oee-output/report.json").read_bytes() != first
     assert names("oee-output") == sorted([*REPORT, "notes.txt"])

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Annotated
 
 import typer
@@ -254,6 +254,15 @@ OverwriteFolderOption = Annotated[
     ),
 ]
 
+SlidesOption = Annotated[
+    bool,
+    typer.Option(
+        "--slides",
+        help="Draw the pictures for slides: 1920 x 1080 pixels, in large letters.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
 JsonOption = Annotated[
     bool,
     typer.Option(
@@ -262,6 +271,16 @@ JsonOption = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+
+
+def slides_if(is_given: bool) -> AbstractContextManager[None]:
+    """Return the context in which pictures are slides if the option is given."""
+    if not is_given:
+        return nullcontext()
+    # imports matplotlib, which the help does without
+    from oee_tabular.plots import slides
+
+    return slides()
 
 
 def say(text: str, *, err: bool = False) -> None:

@@ -51,11 +51,13 @@ from oee_tabular.cli.options import (
     RewardsOption,
     SeedOption,
     SimulatorOption,
+    SlidesOption,
     SuccessOption,
     TrialsOption,
     UnrecordedOption,
     print_result,
     say,
+    slides_if,
 )
 from oee_tabular.continuous import (
     is_continuous,
@@ -211,11 +213,12 @@ def evaluate(
         typer.Option(
             "--output",
             metavar="FOLDER",
-            help="Folder for report.json, table.csv and values.png; those of the last"
-            " run are replaced.",
+            help="Folder for report.json, table.csv and values.png, .pdf, .svg; those of"
+            " the last run are replaced.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    slides: SlidesOption = False,
     report: Annotated[
         str | None,
         typer.Option(
@@ -233,6 +236,10 @@ def evaluate(
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
+    if slides and output is None:
+        raise ArgumentError(
+            "--slides", "must be given with --output, whose pictures it draws"
+        )
     title, outputs = read_outputs(output, report, overwrite=overwrite)
     asked = Asked(
         simulator=simulator,
@@ -280,7 +287,8 @@ def evaluate(
         print_result(shown, record, as_json)
     finally:
         # the files are written whatever becomes of standard output
-        written = write_report(made, outputs, title)
+        with slides_if(slides):
+            written = write_report(made, outputs, title)
     if written and not as_json:
         say(f"\nWritten: {', '.join(map(str, written))}")
 
@@ -588,6 +596,7 @@ def reproduce(
             rich_help_panel=OUTPUT,
         ),
     ] = Path("results"),
+    slides: SlidesOption = False,
     fresh: Annotated[
         bool,
         typer.Option(
@@ -615,27 +624,29 @@ def reproduce(
                 "--seed": seed != 0,
                 "--jobs": jobs != -1,
                 "--dask": dask is not None,
+                "--slides": slides,
                 "--fresh": fresh,
             }
         )
         _print_lines(lambda say: say(catalogue.listing()), as_json)
         return
-    _print_lines(
-        lambda say: catalogue.reproduce(
-            experiments or [],
-            everything=run_all,
-            smoke=smoke,
-            seeds=seeds,
-            seed=seed,
-            jobs=jobs,
-            dask=dask,
-            output=output,
-            fresh=fresh,
-            overwrite=overwrite,
-            say=say,
-        ),
-        as_json,
-    )
+    with slides_if(slides):
+        _print_lines(
+            lambda say: catalogue.reproduce(
+                experiments or [],
+                everything=run_all,
+                smoke=smoke,
+                seeds=seeds,
+                seed=seed,
+                jobs=jobs,
+                dask=dask,
+                output=output,
+                fresh=fresh,
+                overwrite=overwrite,
+                say=say,
+            ),
+            as_json,
+        )
 
 
 def _refuse_beside_list(is_given: Mapping[str, bool]) -> None:
@@ -727,6 +738,7 @@ def bench(
             rich_help_panel=OUTPUT,
         ),
     ] = Path("results/bench"),
+    slides: SlidesOption = False,
     label: Annotated[
         list[str] | None,
         typer.Option(
@@ -753,24 +765,25 @@ def bench(
     """
     from oee_tabular.lab.bench.command import bench as run
 
-    _print_lines(
-        lambda say: run(
-            estimators=estimators,
-            families=families,
-            sizes=sizes,
-            seeds=seeds,
-            timeout=timeout,
-            seed=seed,
-            jobs=jobs,
-            dask=dask,
-            output=output,
-            fresh=fresh,
-            overwrite=overwrite,
-            labels=label or (),
-            say=say,
-        ),
-        as_json,
-    )
+    with slides_if(slides):
+        _print_lines(
+            lambda say: run(
+                estimators=estimators,
+                families=families,
+                sizes=sizes,
+                seeds=seeds,
+                timeout=timeout,
+                seed=seed,
+                jobs=jobs,
+                dask=dask,
+                output=output,
+                fresh=fresh,
+                overwrite=overwrite,
+                labels=label or (),
+                say=say,
+            ),
+            as_json,
+        )
 
 
 def check(

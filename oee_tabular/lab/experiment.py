@@ -13,6 +13,7 @@ import io
 import itertools
 import json
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +22,14 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _checks, _files
-from oee_tabular.plots import INK, draw_or_warn, own_style, plot_curves
+from oee_tabular.plots import (
+    INK,
+    draw_or_warn,
+    fit_slide,
+    has_slides,
+    own_style,
+    plot_curves,
+)
 
 Scalar = float | int | str | bool
 Cell = Mapping[str, Any]  # name -> Scalar
@@ -435,6 +443,7 @@ def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> 
 # ---- what is written of the rows
 
 TITLE_SIZE = 12.0  # points at most
+N_TITLE_LETTERS = 11.0  # of a title of several lines, in an inch
 
 
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
@@ -471,6 +480,7 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
     def draw(figure: Any) -> None:
         """Draw the experiment's figure with one legend and its finding as title."""
         experiment.draw(table, summary, figure)
+        fit_slide(figure)  # before what depends on the width
         share_legend(figure)
         set_title(figure, finding)
 
@@ -486,7 +496,10 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
 
 
 def draw_bytes(
-    draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
+    draw: Callable[[Any], None],
+    *,
+    salt: str,
+    kinds: tuple[str, ...] = ("svg", "png", "pdf"),
 ) -> dict[str, bytes]:
     """Return the bytes of the figure that ``draw`` makes, by kind, without a date."""
     from matplotlib.figure import Figure
@@ -501,9 +514,10 @@ def draw_bytes(
     with own_style({"svg.hashsalt": salt, "svg.fonttype": "none", "pdf.fonttype": 42}):
         figure = Figure(layout="constrained")
         draw(figure)
+        dpi = figure.dpi if fit_slide(figure) else 110
         for kind in kinds:
             buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=110, metadata=metadata[kind])
+            figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata[kind])
             contents[kind] = buffer.getvalue()
     return contents
 
@@ -519,7 +533,9 @@ def share_legend(figure: Any) -> None:
         for ax in drawn
     ]
     most: dict[str, Any] = max(entries, key=len, default={})
-    if len(most) <= 3 or any(entry.keys() - most.keys() for entry in entries):
+    # legends inside of a slide's panels would cover their curves
+    n_few = 1 if has_slides() and len(drawn) > 1 else 3
+    if len(most) <= n_few or any(entry.keys() - most.keys() for entry in entries):
         return
     for ax in drawn:
         ax.legend().remove()
@@ -538,6 +554,8 @@ def share_legend(figure: Any) -> None:
 def set_title(figure: Any, text: str) -> None:
     """Set the title of a whole figure in letters small enough for one line."""
     if text:
+        if has_slides():  # in several lines, which can be read
+            text = textwrap.fill(text, int(N_TITLE_LETTERS * figure.get_figwidth()))
         title = figure.suptitle(text, fontsize=TITLE_SIZE)
         title.set_parse_math(False)
         width = title.get_window_extent().width

@@ -60,6 +60,7 @@ FILES = (
     "summary.md",
     "figure.svg",
     "figure.png",
+    "figure.pdf",
     "cells.csv",
     "league.csv",
     "league.md",

@@ -1,11 +1,8 @@
-"""Colours, markers and lines that colour-blind readers tell apart; figures as files."""
+"""Colours, markers and lines that colour-blind readers tell apart; texts and axes."""
 
 from __future__ import annotations
 
-import html
-import io
 import itertools
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,8 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError, OutputWarning
+from oee_tabular.plots.slide_style import (
+    SLIDE_INCHES,
+    SLIDE_STYLE,
+    axes_inches,
+    has_slides,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,35 +62,10 @@ ESTIMATORS = (
     "oracle-product",
 )
 
-# The colours of an SVG's texts, lines and ground. On a page that has CSS variables for
-# them (``_ON_PAGE``) they become these.
+# The colours of an SVG's texts, lines and ground.
 INK = "#1b1f23"
 QUIET = "#8b9198"
 PAPER = "#fdfdfe"
-_ON_PAGE = {INK: "ink", QUIET: "quiet", PAPER: "paper"} | {
-    color: f"series-{k}" for k, color in enumerate(COLORS)
-}
-_SVG_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "oee_tabular",  # the same picture, the same bytes
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": QUIET,
-    "axes.titlecolor": INK,
-    "xtick.color": QUIET,
-    "ytick.color": QUIET,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "grid.color": QUIET,
-    "grid.alpha": 0.25,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "font.size": 10.0,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
-    "legend.frameon": False,
-}
 
 
 def series(k: int) -> dict[str, Any]:
@@ -153,6 +130,10 @@ def label_rows(ax: Axes, labels: Any) -> None:
     """Write a label beside each row, row 0 on top."""
     ax.set_yticks(range(len(labels)), labels)
     ax.set_ylim(max(len(labels), 1) - 0.4, -0.6)
+    if has_slides():
+        # the title takes a part of the height that the axes have now
+        height_points = 72.0 * 0.8 * axes_inches(ax)[1] / max(len(labels), 1)
+        ax.tick_params(axis="y", labelsize=min(10.5, 0.9 * height_points))
     ax.tick_params(axis="y", length=0)
     disable_math(ax.get_yticklabels())
 
@@ -162,7 +143,8 @@ def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
     if ax is None:
         from matplotlib import pyplot
 
-        ax = pyplot.subplots(figsize=size, layout="constrained")[1]
+        inches = SLIDE_INCHES if has_slides() else size
+        ax = pyplot.subplots(figsize=inches, layout="constrained")[1]
     if not hasattr(ax, "get_xaxis"):
         raise ArgumentError(
             "ax",
@@ -196,9 +178,10 @@ def own_style(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
     """
     import matplotlib
 
+    slide = SLIDE_STYLE if has_slides() else {}
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        named: dict[Any, Any] = dict(settings or {})
+        named: dict[Any, Any] = slide | dict(settings or {})
         matplotlib.rcParams.update(named)
         yield
 
@@ -216,148 +199,3 @@ def draw_or_warn(name: str, draw: Callable[[], Picture]) -> Picture | None:
             f"{name} is left out, because it cannot be drawn ({reason})", OutputWarning
         )
         return None
-
-
-@suggest_keywords
-def figure_png(
-    draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
-) -> bytes:
-    """Return the picture that ``draw`` makes on one axis, as the bytes of a PNG.
-
-    No display is used, and no setting but matplotlib's defaults.
-
-    Parameters
-    ----------
-    draw : callable
-        Function of a ``matplotlib.axes.Axes``, on which it draws.
-    size : tuple of two floats, default (9.0, 4.8)
-        Width and height in inches, each from 0.1 to 100.
-
-    Returns
-    -------
-    bytes
-        The content of a PNG file.
-
-    Raises
-    ------
-    ValueError
-        If ``draw`` is no function, or a size is out of range.
-
-    See Also
-    --------
-    figure_svg : The same as SVG text for a page.
-
-    Examples
-    --------
-    >>> figure_png(lambda ax: ax.plot([0, 1]), size=(2.0, 1.5))[1:4]
-    b'PNG'
-    """
-    with own_style():
-        return _save(draw, size, "png", {"Software": None})
-
-
-@suggest_keywords
-def figure_svg(
-    draw: Callable[[Axes], object],
-    *,
-    name: str,
-    title: str,
-    description: str,
-    size: tuple[float, float] = (4.4, 3.2),
-) -> str:
-    """Return the picture that ``draw`` makes on one axis, as SVG text for a page.
-
-    Its ids start with ``name``. Its colours are the page's CSS variables --ink,
-    --quiet, --paper and --series-0 to --series-7 where it has them. The same call gives
-    the same text.
-
-    Parameters
-    ----------
-    draw : callable
-        Function of a ``matplotlib.axes.Axes``, on which it draws.
-    name : str
-        Name of the picture, unique on its page.
-    title : str
-        Title of the text alternative.
-    description : str
-        Description of the text alternative.
-    size : tuple of two floats, default (4.4, 3.2)
-        Width and height in inches, each from 0.1 to 100.
-
-    Returns
-    -------
-    str
-        An ``<svg>`` element.
-
-    Raises
-    ------
-    ValueError
-        If ``draw`` is no function, a text is none, or a size is out of range.
-
-    See Also
-    --------
-    figure_png : The same as the bytes of a PNG.
-
-    Examples
-    --------
-    >>> text = figure_svg(
-    ...     lambda ax: ax.plot([0, 1]),
-    ...     name="line",
-    ...     title="A line",
-    ...     description="It rises.",
-    ... )
-    >>> text[:5], 'role="img"' in text
-    ('<svg ', True)
-    """
-    check_texts(name=name, title=title, description=description)
-    with own_style(_SVG_STYLE):
-        text = _save(
-            draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        ).decode()
-    tag, _, inside = text[text.index("<svg") :].partition(">")
-    changes = {
-        # without what a page does not need or has already
-        r"<metadata>.*?</metadata>|<!--.*?-->": "",
-        r'<defs>\s*<style type="text/css">.*?</style>\s*</defs>': "",
-        # ids and colours made the page's own
-        r'(\bid="|url\(#|href="#)': rf"\1{name}-",
-        **{
-            rf"(fill|stroke): {color}\b": rf"\1: var(--{variable}, {color.lower()})"
-            for color, variable in _ON_PAGE.items()
-        },
-        r"\s*\n\s*": "\n",
-    }
-    for pattern, replacement in changes.items():
-        inside = re.sub(pattern, replacement, inside, flags=re.IGNORECASE | re.DOTALL)
-    (box,) = re.findall(r'viewBox="[^"]*"', tag)
-    return (
-        '<svg xmlns:xlink="http://www.w3.org/1999/xlink"'
-        f' xmlns="http://www.w3.org/2000/svg" {box} class="plot" role="img"'
-        f' aria-labelledby="{name}-title {name}-desc">\n<title'
-        f' id="{name}-title">{html.escape(title)}</title>\n<desc'
-        f' id="{name}-desc">{html.escape(description)}</desc>{inside.rstrip()}'
-    )
-
-
-def _save(
-    draw: Callable[[Axes], object],
-    size: tuple[float, float],
-    form: str,
-    metadata: dict[str, Any],
-) -> bytes:
-    """Return the file that a backend makes of what ``draw`` draws."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    _checks.function(draw, "draw")
-    inches = check_pair(size, "size")
-    if not 0.1 <= min(inches) <= max(inches) <= 100.0:
-        raise ArgumentError("size", f"must be from 0.1 to 100 inches; it is {inches}")
-    figure = Figure(figsize=inches, layout="constrained")
-    draw(figure.subplots())
-    canvas: Any = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
-    buffer = io.BytesIO()
-    # savefig would read SOURCE_DATE_EPOCH
-    getattr(canvas, f"print_{form}")(buffer, metadata=metadata)
-    return buffer.getvalue()

@@ -11,10 +11,11 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, OutputWarning
 from oee_tabular.plots import style
+from oee_tabular.plots.slide_style import MAX_SLIDE_ROWS, has_slides
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
-from oee_tabular.typing import Array, RealArrayLike
+from oee_tabular.typing import Array, IntArray, RealArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,8 +105,9 @@ def plot_values(
     (['new', 'oee', 'pdis'], ['99', 'true value 1.2'])
     """
     check_texts(unit=unit)
-    rows = _checks.collection(records, "records", "a Report's records()")
-    for row in rows:
+    given = _checks.collection(records, "records", "a Report's records()")
+    rows: Sequence[Mapping[str, Any]] = given
+    for row in given:
         if not isinstance(row, Mapping) or not row.keys() >= COLUMNS:
             raise ArgumentError(
                 "records",
@@ -116,6 +118,8 @@ def plot_values(
         raise ArgumentError(
             "records", "must hold at least one finite value; there is nothing to draw"
         )
+    if has_slides():
+        rows = _rows_of_slide(rows)
     policies = [row["policy"] for row in rows]
     ordered = sorted(rows, key=lambda row: policies.index(row["policy"]))
     columns = {key: [row[key] for row in ordered] for key in COLUMNS}
@@ -135,6 +139,30 @@ def plot_values(
         xlabel=f"value in the target: {unit}" if unit else "value in the target",
         title=title,
     )
+
+
+def _rows_of_slide(rows: Sequence[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
+    """Return the rows for which a slide has room: the same estimators of each policy.
+
+    The default and the simulator come first, then the others in their order.
+    """
+    names = list(dict.fromkeys(row["estimator"] for row in rows))
+    n_policies = len({row["policy"] for row in rows})
+    if len(rows) + n_policies <= MAX_SLIDE_ROWS:
+        return rows
+    room = max(1, MAX_SLIDE_ROWS // n_policies - 1)
+    wanted = sorted(names, key=lambda name: (name != "oee", name != "simulator"))
+    kept = [row for row in rows if row["estimator"] in wanted[:room]]
+    left_out = ", ".join(map(shorten, wanted[room:]))
+    if not left_out or not any(math.isfinite(row["value"]) for row in kept):
+        return rows
+    _checks.warn(
+        f"a slide has room for {MAX_SLIDE_ROWS} lines: the picture of values"
+        f" leaves out {left_out} (the table has them; estimators=, or --estimators,"
+        " says which are evaluated)",
+        OutputWarning,
+    )
+    return kept
 
 
 @suggest_keywords
@@ -226,36 +254,47 @@ def plot_intervals(
         span = _span(lines, [*exact.values()])
     else:
         span = style.check_pair(limits, "limits")
-    left, right = span
-    if not left < right:
+    if not span[0] < span[1]:
         raise ArgumentError(
             "limits", f"must be (low, high) with low < high; got {limits}"
         )
-    # the lines from the top; above each group one for its name and the truth's
-    group = lines.group
-    starts: list[int] = []
+    # above each group one more row, for its name and the truth's
+    starts = []
     if exact or groups is not None:
-        starts = [k for k in range(len(group)) if k == 0 or group[k] != group[k - 1]]
-    line = np.arange(len(group))
-    y = line + np.searchsorted(starts, line, side="right")
+        starts = _starts(lines.group)
     short = np.array([*map(shorten, lines.names)], dtype=object)
-    labels = np.insert(short, starts, group[starts])
+    labels = np.insert(short, starts, lines.group[starts])
     ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
-    ends = np.clip(lines.ends, *span)
-    for k, series in enumerate(style.places(lines.names)):
-        marks = style.series(series) | {"linestyle": "none"}
-        _draw_interval(ax, y[k], lines.value[k], ends[k], span, marks)
-    for start, end in zip(starts, [*starts[1:], len(group)], strict=False):
-        x = exact.get(group[start], math.nan)
-        if left <= x <= right:
+    y = _draw_lines(ax, lines, starts, span)
+    for start, end in zip(starts, [*starts[1:], len(y)], strict=False):
+        x = exact.get(lines.group[start], math.nan)
+        if span[0] <= x <= span[1]:
             heights = (y[start] - 1, y[end - 1])
             _draw_truth(ax, x, heights, span, f"{truth_label} {_text_of(x)}")
-    ax.set_xlim(left, right)
+    ax.set_xlim(*span)
     style.label_rows(ax, labels)
     for start in starts:
         ax.get_yticklabels()[y[start] - 1].set_fontweight("bold")
     _finish_axes(ax, xlabel, title)
     return ax
+
+
+def _starts(group: Array) -> list[int]:
+    """Return the first line of each group of neighbours."""
+    return [k for k in range(len(group)) if k == 0 or group[k] != group[k - 1]]
+
+
+def _draw_lines(
+    ax: Axes, lines: Lines, starts: Sequence[int], span: tuple[float, float]
+) -> IntArray:
+    """Draw the intervals from the top, and return their heights."""
+    line = np.arange(len(lines.group))
+    y = line + np.searchsorted(starts, line, side="right")
+    ends = np.clip(lines.ends, *span)
+    for k, series in enumerate(style.places(lines.names)):
+        marks = style.series(series) | {"linestyle": "none"}
+        _draw_interval(ax, y[k], lines.value[k], ends[k], span, marks)
+    return y
 
 
 def _finish_axes(ax: Axes, xlabel: str, title: str) -> None:
@@ -431,7 +470,8 @@ def plot_states(
     ax : matplotlib.axes.Axes, optional
         Where to draw. None makes a new figure.
     top : int, default 20
-        How many states to show; those without time are left out.
+        How many states to show; those without time are left out. A slide shows at most
+        twelve.
     names : sequence of str, optional
         Names of the states; None means their numbers.
     xlabel : str
@@ -483,7 +523,10 @@ def plot_states(
             f"must have {len(share)} entries, one a state; it has {len(called)}",
         )
     check_texts(xlabel=xlabel)
-    order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
+    n_shown = _checks.positive_integer(top, "top")
+    if has_slides():
+        n_shown = min(n_shown, MAX_SLIDE_ROWS)
+    order = np.argsort(-share, kind="stable")[:n_shown]
     order = order[share[order] > 0]
     y = np.arange(len(order))
     good = 100.0 * known[order]

@@ -17,7 +17,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 
 INDEX = "report.json"  # which lists the other files of a report
-NAMES = (INDEX, "table.csv", "values.png")
+NAMES = (INDEX, "table.csv", "values.png", "values.pdf", "values.svg")
 
 
 @suggest_keywords

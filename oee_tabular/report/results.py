@@ -15,7 +15,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._results import checked
 from oee_tabular.estimators import Problem
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.plots import draw_or_warn, figure_png, plot_values
+from oee_tabular.plots import draw_or_warn, figure_files, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.content import (
     Content,
@@ -459,9 +459,10 @@ class Report:
         )
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write report.json, table.csv and values.png: all of them or none.
+        """Write report.json, table.csv and a picture of the values: all or none.
 
-        Files of these names are replaced. report.json is ``to_dict`` with one field
+        The picture is values.png, values.pdf and values.svg; inside ``plots.slides()``
+        it is a slide. Files of these names are replaced. report.json is ``to_dict`` with one field
         more: ``files``, the SHA-256 of each file by its name (its own is that of the
         JSON without it).
 
@@ -485,12 +486,11 @@ class Report:
         contents = {
             "table.csv": _files.csv_bytes(self.table),
         }
-        picture = draw_or_warn(
-            "values.png", lambda: figure_png(self.plot, size=(7.2, height))
+        pictures = draw_or_warn(
+            "values.png", lambda: figure_files(self.plot, "values", size=(7.2, height))
         )
-        # without it, the picture of another report is removed
-        if picture is not None:
-            contents["values.png"] = picture
+        # without them, the pictures of another report are removed
+        contents |= pictures or {}
         return write_report(Path(folder), self.to_dict(), contents)
 
     def to_html(

@@ -41,7 +41,8 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
         "evaluate --output out --estimators simulator --discount 0.9 --horizon 50"
         " --policy uniform --raw"
     )
-    assert "\nWritten: out/report.json, out/table.csv, out/values.png\n" in again
+    files = ("report.json", "table.csv", "values.png", "values.pdf", "values.svg")
+    assert f"\nWritten: {', '.join(f'out/{name}' for name in files)}\n" in again
     assert "50 rewards (discount 0.9)" in again
     assert "0.01 × the discounted sum of" in out
     assert "0.01 ×" not in again

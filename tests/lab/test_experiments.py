@@ -184,6 +184,7 @@ def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
         "summary.md",
         "figure.svg",
         "figure.png",
+        "figure.pdf",
     }
     assert "The published recipe" in (tmp_path / "smoke" / "index.md").read_text()
     assert run_command(*arguments) == 0

@@ -255,12 +255,16 @@ def test_saving_writes_all_or_nothing(problem, report, tmp_path, monkeypatch):
     assert sorted(path.name for path in written) == [
         "report.json",
         "table.csv",
+        "values.pdf",
         "values.png",
+        "values.svg",
     ]
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == [
         "report.json",
         "table.csv",
+        "values.pdf",
         "values.png",
+        "values.svg",
     ]
     assert (tmp_path / "a" / "b" / "values.png").read_bytes().startswith(b"\x89PNG")
     again = oee.evaluate(problem, POLICIES, seed=0).save(tmp_path / "c")
