@@ -164,9 +164,9 @@ def _about_policies(report: Report) -> list[Note]:
         intervals = found.intervals.get(policy, {}).values()
         if any(has_other_ends(one) for one in intervals):
             kind = ENDS
-        # the answer says what trials and log say that contradict each other
-        if policy in found.trials and not found.trials[policy].is_contradicted:
-            kind = TRIALS
+        if policy in found.trials:
+            # the answer already says what trials and log say that contradict each other
+            kind = REMARK if found.trials[policy].is_contradicted else TRIALS
         if is_single and assumption:
             notes.append(_make(UNRECORDED, assumption))
         elif assumption:
