@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import oee_tabular as oee
 from oee_tabular.continuous.evaluation.command_levels import (
     Rounding,
+    has_only,
     make_finer,
     make_finer_often,
     measure_roundings,
@@ -157,13 +158,18 @@ def test_a_policy_of_coarse_actions_is_one_of_finer_ones():
 
 
 def test_what_cannot_be_made_finer_is_in_the_interval():
-    """Numbers of actions with probabilities hold a log to its actions."""
+    """A log that has only the task's actions says nothing of others."""
     task = Slider(3, shift=0.3)
     log = log_of(task, seed=1)
+    assert has_only(log, task.actions)
+    commands = oee.ContinuousTransitions(
+        **log.columns() | {"action": task.actions[log.action]}
+    )
+    assert has_only(commands, task.actions)
+    assert not has_only(commands, np.array([[1.0], [3.0]]))
     report = evaluate_continuous(
         Slider(3), log, {"p": brake}, settings=FEW, horizon=20, discount=1.0, seed=0
     )
-    assert log.behavior_probability is not None
     row = report.table.iloc[0]
     assert row.lower < row.value < row.upper
     # (1 - 1/4) 0 + 1/4 2^2 = 1 a step in place of 1/4

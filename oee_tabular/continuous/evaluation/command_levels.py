@@ -45,6 +45,8 @@ N_ERRORS = 2.0
 MAX_FINER_COMMANDS = 1000
 # times that the levels are made finer
 MAX_REFINEMENTS = 2
+# of a log's rows that took one of the actions: above it, the log knows no others
+MAX_ON_LEVELS = 0.5
 # of the log's states, in which a policy's commands are compared with the actions
 MAX_POLICY_STATES = 1000
 # rows of the log, in whose states the finer task is held against the task
@@ -120,6 +122,15 @@ def make_finer(
     if not _steps_alike(task, other, places, log):
         return None
     return other, places
+
+
+def has_only(log: ContinuousTransitions, actions: Array) -> bool:
+    """Return whether most rows of a log took one of the actions, by number or command."""
+    if log.action.ndim == 1 or actions.ndim == 1:
+        return True
+    rows = np.unique(np.linspace(0, len(log) - 1, MAX_POLICY_STATES).astype(np.int64))
+    is_one = (log.action[rows, None] == actions[None]).all(axis=2).any(axis=1)
+    return float(is_one.mean()) > MAX_ON_LEVELS
 
 
 def make_finer_often(

@@ -37,6 +37,7 @@ from oee_tabular.continuous.evaluation.command_levels import (
     MOST,
     Rounding,
     describe_rounding,
+    has_only,
     make_finer_often,
     measure_roundings,
 )
@@ -256,7 +257,7 @@ def evaluate_continuous(
         said += found.describe_refinement(len(finer.simulator.task.actions))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said before
-            found = _compute(finer, found.log_of_commands(), policies)
+            found = _compute(finer, log, policies)
     sentences = describe_whole(
         found.correction,
         (*found.left_out, *found.prepared.messages, *said, *found.describe_roundings()),
@@ -405,7 +406,8 @@ class _Found:
     def refine(self) -> _Request | None:
         """Return the request with finer actions, if a value needs and all can have them.
 
-        What is given by the numbers of the actions cannot.
+        What is given by the numbers of the actions cannot, nor can a log that has only
+        these actions: what the target does under others was never recorded.
         """
         request, prepared = self.request, self.prepared
         by_number = (
@@ -418,6 +420,7 @@ class _Found:
             self.finer is None
             or any(each is not None for each in by_number)
             or len(self.roundings) < len(prepared.policies)
+            or has_only(prepared.given_log, request.simulator.task.actions)
         ):
             return None
         n_times = max((self._excess(name) for name in self._coarse()), default=0)
@@ -482,14 +485,6 @@ class _Found:
             if text:
                 found.append(text)
         return found
-
-    def log_of_commands(self) -> ContinuousTransitions:
-        """Return the log as it was given, with commands in place of numbers."""
-        log = self.prepared.given_log
-        if log.action.ndim > 1:
-            return log
-        commands = self.prepared.simulator.task.actions[self.prepared.log.action]
-        return ContinuousTransitions(**log.columns() | {"action": commands})
 
 
 def describe_whole(
