@@ -7,7 +7,7 @@ window.playground = (() => {
   const LOSS_PER_DISTANCE = 0.2;
   const MAX_STEPS = 200;
   const CELL = 40; // in the units of a grid's picture
-  const STEP_MILLISECONDS = 350;
+  const STEP_MILLISECONDS = 250;
   const SVG = "http://www.w3.org/2000/svg";
 
   // ---- the gridworld, as oee_tabular.tasks.gridworld makes it
@@ -61,7 +61,9 @@ window.playground = (() => {
   }
 
   const percent = (share) => `${Math.round(100 * share)}%`;
-  const count = (number) => number.toLocaleString("en").replace(/,/g, "\u00a0");
+  // As pages write numbers: a space from five digits on.
+  const count = (number) =>
+    number < 10_000 ? `${number}` : number.toLocaleString("en").replace(/,/g, "\u00a0");
 
   function describeShare(share) {
     if (share === 0) return "0% (uniform)";
