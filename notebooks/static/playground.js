@@ -130,7 +130,7 @@ window.playground = (() => {
     for (const tick of ticks) {
       const x = place(tick);
       element(svg, "line", { x1: x, x2: x, y1: 0, y2: bottom, class: "play-tick" });
-      if (x > 18 && x < width - 18) {
+      if (x > 13 && x < width - 13) {
         element(svg, "text", { x, y: height - 8, class: "play-label" }, write(tick, decimals));
       }
     }
