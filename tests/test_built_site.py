@@ -36,6 +36,7 @@ OUTSIDE = """() => [...document.querySelectorAll("main p, main li, main dt, main
 KINDS = (
     "index.html",
     "syllabus.html",
+    "playground.html",
     "00_will_my_policy_work.html",
     "04_why_products_explode.html",
     "api/mdp.html",
