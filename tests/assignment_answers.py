@@ -643,7 +643,7 @@ WRONG = [
     (
         "5_bootstrap",
         RETURNS + "return returns[rng.integers(n, size=(n_resamples, n))].sum(1)",
-        "their mean",
+        "the statistic is the mean",
     ),
     (
         "5_bootstrap",

@@ -81,7 +81,8 @@ def run(path):
 
 def grade(path, seconds=SECONDS):
     """Return a row of the table for each test of a submission."""
-    cells = merge(read_cells(path), source_of(path))
+    source = source_of(path)  # which refuses other names first
+    cells = merge(read_cells(path), source)
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder) / "results"
         empty = Path(folder) / "empty"

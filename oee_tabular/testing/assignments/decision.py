@@ -144,7 +144,7 @@ GAIN = Task(
             "divide each row's variance by its own count, and not by the whole log's.",
         ),
         Mistake(
-            _gain_by(lambda a, b, P, n: _both(a, b, P, n) * Z),
+            _gain_by(lambda a, b, P, n: _both(a, b, P, n) * 1.96),
             "this is half the width of an interval; the standard error is asked for.",
         ),
         Mistake(
@@ -291,7 +291,7 @@ NEED = Task(
     " whole N with gain - 1.96 error sqrt(n / N) >= cost. It is inf if gain <= cost.",
     mistakes=(
         Mistake(
-            lambda gain, error, cost, n: np.ceil(n * Z * error / (gain - cost)),
+            lambda gain, error, cost, n: np.ceil(n * 1.96 * error / (gain - cost)),
             "the error falls with the root of N, so that N grows with the square.",
         ),
         Mistake(
@@ -299,34 +299,36 @@ NEED = Task(
             "the factor 1.96 is missing.",
         ),
         Mistake(
-            lambda gain, error, cost, n: np.ceil(n * (Z * error / gain) ** 2),
+            lambda gain, error, cost, n: np.ceil(n * (1.96 * error / gain) ** 2),
             "the gain must exceed the cost, and not 0.",
         ),
         Mistake(
-            lambda gain, error, cost, n: np.ceil((Z * error / (gain - cost)) ** 2),
+            lambda gain, error, cost, n: np.ceil((1.96 * error / (gain - cost)) ** 2),
             "the error is that of n transitions, and not of one; multiply by n.",
         ),
         Mistake(
             lambda gain, error, cost, n: (
-                np.ceil(n * (Z * error / (gain - cost)) ** 2) - 1
+                np.ceil(n * (1.96 * error / (gain - cost)) ** 2) - 1
             ),
             "round up: with one transition less the interval reaches the cost.",
         ),
         Mistake(
-            lambda gain, error, cost, n: max(_need(gain, error, cost, n) - n, 0),
+            lambda gain, error, cost, n: max(_need(gain, error, cost, n, 1.96) - n, 0),
             "this is what is still missing; the whole number is asked for.",
         ),
         Mistake(
-            lambda gain, error, cost, n: n * (Z * error / (gain - cost)) ** 2,
+            lambda gain, error, cost, n: n * (1.96 * error / (gain - cost)) ** 2,
             "transitions are whole; round up. And where gain <= cost none is enough.",
         ),
         Mistake(
-            lambda gain, error, cost, n: np.ceil(n * (Z * error / (gain - cost)) ** 2),
+            lambda gain, error, cost, n: np.ceil(
+                n * (1.96 * error / (gain - cost)) ** 2
+            ),
             "where the gain is below the cost no number of transitions is enough: inf.",
         ),
         Mistake(
             lambda gain, error, cost, n: np.ceil(
-                n * (2 * Z * error / (gain - cost)) ** 2
+                n * (2 * 1.96 * error / (gain - cost)) ** 2
             ),
             "the distance from the gain to an end is half the width.",
         ),

@@ -26,7 +26,9 @@ from oee_tabular.typing import Array
 
 FIRST_HARD_CASE = 10  # cases before it have no zeros, ends or other special values
 CLOSE = 0.03  # of the largest right entry: an error of rounding or of a short iteration
-N_CASES_OF_A_WORD = 40  # that an answer of one word must share with a mistake
+# that an answer must share with a mistake, if it is a number or one of a few words
+N_CASES_OF_A_NUMBER = 3
+N_CASES_OF_A_WORD = 40
 
 Arguments = dict[str, Any]
 
@@ -155,17 +157,21 @@ class Task:
     def _is_recognised(
         self, answer: Any, mistake: Mistake, found: Any, arguments: Arguments
     ) -> bool:
-        """Return whether an answer is a mistake; one word needs more than one case."""
+        """Return whether an answer is a mistake, in this case and in others.
+
+        One case is not enough: nan, True or a word come from many mistakes.
+        """
         if not self._equals_mistake(found, mistake, arguments):
             return False
-        if not isinstance(found, bool | str):
-            return True
-        for case in range(N_CASES_OF_A_WORD):
+        is_word = isinstance(found, bool | str)
+        for case in range(N_CASES_OF_A_WORD if is_word else N_CASES_OF_A_NUMBER):
             drawn = self.draw_case(case)
-            right = self.solve(*drawn.values())
-            if not self._equals_mistake(
-                self.read(ask(self, answer, drawn), right), mistake, drawn
-            ):
+            right = self.solve(*copy.deepcopy(drawn).values())
+            try:
+                again = self.read(ask(self, answer, drawn), right)
+            except RefusedAnswer:
+                return False
+            if not self._equals_mistake(again, mistake, drawn):
                 return False
         return True
 

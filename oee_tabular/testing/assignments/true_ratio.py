@@ -31,21 +31,28 @@ def _draw_pair(rng: np.random.Generator, is_hard: bool) -> Arguments:
 
 
 def _draw_supports(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    arguments = _draw_pair(rng, True)
-    kind = int(rng.integers(3))
-    if kind == 0:
-        # some transition of the target is impossible in the simulator
-        s = int(rng.integers(arguments["target"].shape[0]))
-        row = arguments["simulator"][s, -1]
-        at = int(np.flatnonzero(arguments["target"][s, -1])[-1])
-        row[at] = 0.0
-        if not row.any():
-            row[at - 1] = 1.0
-        row /= row.sum()
-        if is_hard:
-            target_row = arguments["target"][s, -1]
-            target_row[:] = 1e-9 * np.eye(target_row.size)[at] + (1 - 1e-9) * row
-    return arguments
+    """Draw a pair with one support inside of the other, equal ones, or neither."""
+    pair = _draw_pair(rng, True)
+    target, simulator = pair["target"], pair["simulator"]
+    simulator_is_full, target_is_full, is_equal, is_outside = rng.integers(
+        5
+    ) == np.arange(4)
+    if simulator_is_full:
+        simulator = draw_rows(rng, simulator.shape, has_zeros=False)
+    if target_is_full:
+        target = draw_rows(rng, target.shape, has_zeros=False)
+    if is_equal:
+        target = simulator**2
+        target /= target.sum(axis=-1, keepdims=True)
+    if target_is_full or is_outside:
+        # a transition of the target that the simulator never makes
+        s, t = int(rng.integers(len(target))), int(target[0, -1].argmax())
+        simulator[s, -1] = np.where(np.arange(len(target)) == t, 0.0, 1.0)
+        simulator[s, -1] /= simulator[s, -1].sum()
+        share = 1e-9 if is_hard else 0.3
+        target[s, -1] = (1.0 - share) * simulator[s, -1]
+        target[s, -1, t] = share
+    return {"target": target, "simulator": simulator}
 
 
 def _has_support(target: Array, simulator: Array) -> bool:
