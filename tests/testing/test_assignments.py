@@ -225,9 +225,9 @@ def test_cases_are_drawn_alike_and_apart(exercise):
         (("risk",), "exercise must be one of 1_risk, .*; it is 'risk'"),
         ((None,), "exercise must be one of"),
         (([],), "exercise must be one of"),
-        (("1_risk", -1), "must be a nonnegative integer; it is -1"),
-        (("1_risk", 1.5), "must be a nonnegative integer"),
-        (("1_risk", True), "must be a nonnegative integer"),
+        (("1_risk", -1), "must be an integer from 0 to 9999; it is -1"),
+        (("1_risk", 1.5), "must be an integer from 0 to 9999"),
+        (("1_risk", True), "must be an integer from 0 to 9999"),
     ],
 )
 def test_bad_names_and_cases(arguments, said):
@@ -434,16 +434,19 @@ def test_a_student_cannot_change_or_delete_a_test(tmp_path):
     assert "week_1_normalised_hidden: 0: RefusedAnswer" in found
 
 
-def test_a_notebook_that_runs_for_ever_or_ends_python(tmp_path):
+def test_a_notebook_that_runs_for_ever(tmp_path):
+    path = submission(tmp_path, {"week_1_risk": "while True: pass"})
+    found = run_grade(path, "--seconds", 3, folder=tmp_path).stdout
+    assert "risk.ipynb: 0 of 10 points" in found
+    assert "week_1_risk_visible: 0: it ran longer than 3.0 s" in found
+
+
+def test_a_notebook_that_ends_python_keeps_its_points(tmp_path):
     good = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
-    for end, word in (
-        ("while True: pass", "it ran longer than"),
-        ("import os\nos._exit(1)", "the notebook ended its process"),
-    ):
-        path = submission(tmp_path, {"week_1_risk": good, "week_1_minimiser": end})
-        found = run_grade(path, "--seconds", 12, folder=tmp_path).stdout
-        assert "risk.ipynb: 1 of 10 points" in found
-        assert f"week_1_minimiser_visible: 0: {word}" in found
+    changes = {"week_1_risk": good, "week_1_minimiser": "import os\nos._exit(1)"}
+    found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
+    assert "risk.ipynb: 1 of 10 points" in found
+    assert "week_1_minimiser_visible: 0: the notebook ended its process" in found
 
 
 @pytest.mark.parametrize(

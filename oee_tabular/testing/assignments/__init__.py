@@ -43,6 +43,7 @@ WEEKS = (
 _TASKS: dict[str, Task] = {task.name: task for week in WEEKS for task in week.TASKS}
 TASKS: dict[str, str] = {name: task.call for name, task in _TASKS.items()}
 VISIBLE_CASES = range(5)
+MAX_CASE = 9999
 
 
 def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -> None:
@@ -112,7 +113,7 @@ def draw_case(exercise: str, case: int) -> dict[str, Any]:
     ['g', 'p', 'q']
     """
     task = _task(exercise)
-    return task.draw_case(_case_numbers([case])[0])
+    return task.draw_case(_case_number(case, "case"))
 
 
 def _task(exercise: Any) -> Task:
@@ -132,13 +133,16 @@ def _case_numbers(cases: Any) -> list[int]:
             "cases",
             f"must be numbers of cases, as in range(5); it is {_checks.show(cases)}",
         )
-    numbers = list(cases)
-    for k, case in enumerate(numbers):
-        if not _checks.is_integer(case) or case < 0:
-            raise ArgumentError(
-                f"cases[{k}]",
-                f"must be a nonnegative integer; it is {_checks.show(case)}",
-            )
+    numbers = [_case_number(case, f"cases[{k}]") for k, case in enumerate(cases)]
     if not numbers:
         raise ArgumentError("cases", "must have a case; it is empty")
-    return [int(case) for case in numbers]
+    return numbers
+
+
+def _case_number(case: Any, name: str) -> int:
+    """Return the number of a case, checked."""
+    if not _checks.is_integer(case) or not 0 <= case <= MAX_CASE:
+        raise ArgumentError(
+            name, f"must be an integer from 0 to {MAX_CASE}; it is {_checks.show(case)}"
+        )
+    return int(case)

@@ -142,7 +142,7 @@ def _over_all_weights(*columns: Any) -> float:
     for name in np.unique(episode):
         mine = episode == name
         weight[mine] = np.cumprod((policy / behavior)[state[mine], action[mine]])
-    return float(discount**timestep @ (weight * reward)) / weight.sum()
+    return float(discount**timestep @ (weight * reward) / weight.sum())
 
 
 CALL = "(state, action, reward, episode, timestep, behavior, policy, discount)"

@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._sparse import is_sparse
+from oee_tabular._checks import is_sparse
 from oee_tabular.typing import Array
 
 FIRST_HARD_CASE = 10  # cases before it have no zeros, ends or other special values

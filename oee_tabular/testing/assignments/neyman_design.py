@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from oee_tabular.exact import occupancy, state_values
@@ -22,24 +25,33 @@ def _draw_costs(rng: np.random.Generator, is_hard: bool) -> Arguments:
     }
 
 
-def _parts(
-    P: Array, r: Array, mu: Array, policy: Array, discount: float
-) -> tuple[Array, Array, Array, float]:
-    """Return d, V, the variance of V after each pair, and discount / (1 - discount)."""
+class _Terms(NamedTuple):
+    """What costs are made of, for right and wrong ones."""
+
+    P: Array
+    policy: Array
+    discount: float
+    factor: float
+    d: Array
+    V: Array
+    variance: Array
+
+
+def _terms(P: Array, r: Array, mu: Array, policy: Array, discount: float) -> _Terms:
     mdp = Parts(P, r, mu, discount).mdp
     V = state_values(mdp, policy)
     variance = np.maximum(P @ V**2 - (P @ V) ** 2, 0.0)
-    return (
-        np.asarray(occupancy(mdp, policy)),
-        V,
-        variance,
-        discount / (1.0 - discount),
-    )
+    d = np.asarray(occupancy(mdp, policy))
+    return _Terms(P, policy, discount, discount / (1.0 - discount), d, V, variance)
 
 
 def _costs(P: Array, r: Array, mu: Array, policy: Array, discount: float) -> Array:
-    d, _, variance, factor = _parts(P, r, mu, policy, discount)
-    return (factor * d) ** 2 * variance
+    x = _terms(P, r, mu, policy, discount)
+    return np.asarray((x.factor * x.d) ** 2 * x.variance)
+
+
+def _mistake(rule: Callable[[_Terms], Array], hint: str) -> Mistake:
+    return Mistake(lambda *arguments: rule(_terms(*arguments)), hint)
 
 
 def _draw_design(rng: np.random.Generator, is_hard: bool) -> Arguments:
@@ -52,7 +64,7 @@ def _draw_design(rng: np.random.Generator, is_hard: bool) -> Arguments:
 
 def _design(costs: Array, n: int) -> Array:
     roots = np.sqrt(costs)
-    return n * roots / roots.sum()
+    return np.asarray(n * roots / roots.sum())
 
 
 def _draw_variance(rng: np.random.Generator, is_hard: bool) -> Arguments:
@@ -79,57 +91,47 @@ COSTS = Task(
     hint="c(s, a) = (discount / (1 - discount))^2 d(s, a)^2 Var V(s'), where d is the"
     " occupancy and the variance is over s' drawn from P(. | s, a).",
     mistakes=(
-        Mistake(
-            lambda *a: (lambda d, V, v, f: f**2 * d * v)(*_parts(*a)),
+        _mistake(
+            lambda x: x.factor**2 * x.d * x.variance,
             "the occupancy enters squared: an error in a row counts d times, and its"
             " variance d^2 times.",
         ),
-        Mistake(
-            lambda *a: (lambda d, V, v, f: d**2 * v)(*_parts(*a)),
+        _mistake(
+            lambda x: x.d**2 * x.variance,
             "the factor (discount / (1 - discount))^2 is missing.",
         ),
-        Mistake(
-            lambda *a: (lambda d, V, v, f: f * d**2 * v)(*_parts(*a)),
+        _mistake(
+            lambda x: x.factor * x.d**2 * x.variance,
             "the factor discount / (1 - discount) enters squared.",
         ),
-        Mistake(
-            lambda P, r, mu, policy, discount: (
-                lambda d, V, v, f: (d / (1 - discount)) ** 2 * v
-            )(*_parts(P, r, mu, policy, discount)),
+        _mistake(
+            lambda x: (x.d / (1.0 - x.discount)) ** 2 * x.variance,
             "the next state's value is discounted once: the factor is discount /"
             " (1 - discount), and not 1 / (1 - discount).",
         ),
-        Mistake(
-            lambda *a: (lambda d, V, v, f: (f * d) ** 2 * np.sqrt(v))(*_parts(*a)),
+        _mistake(
+            lambda x: (x.factor * x.d) ** 2 * np.sqrt(x.variance),
             "the variance of V is needed, and not its standard deviation.",
         ),
-        Mistake(
-            lambda P, r, mu, policy, discount: (
-                lambda d, V, v, f: (f * d) ** 2 * (P @ V**2)
-            )(*_parts(P, r, mu, policy, discount)),
+        _mistake(
+            lambda x: (x.factor * x.d) ** 2 * (x.P @ x.V**2),
             "this is the mean of V^2; subtract the square of the mean.",
         ),
-        Mistake(
-            lambda P, r, mu, policy, discount: (
-                lambda d, V, v, f: (f * d) ** 2 * np.var(V)
-            )(*_parts(P, r, mu, policy, discount)),
+        _mistake(
+            lambda x: (x.factor * x.d) ** 2 * np.var(x.V),
             "the variance is over the next state of each pair, by P(. | s, a), and not"
             " over all states.",
         ),
-        Mistake(
-            lambda *a: (lambda d, V, v, f: (f * d.sum(axis=1, keepdims=True)) ** 2 * v)(
-                *_parts(*a)
-            ),
+        _mistake(
+            lambda x: (x.factor * x.d.sum(axis=1, keepdims=True)) ** 2 * x.variance,
             "d(s, a) is the time in the pair, and not in the state.",
         ),
-        Mistake(
-            lambda *a: (lambda d, V, v, f: f * d * np.sqrt(v))(*_parts(*a)),
+        _mistake(
+            lambda x: x.factor * x.d * np.sqrt(x.variance),
             "this is the root of the cost.",
         ),
-        Mistake(
-            lambda P, r, mu, policy, discount: (
-                lambda d, V, v, f: (f * policy) ** 2 * v
-            )(*_parts(P, r, mu, policy, discount)),
+        _mistake(
+            lambda x: (x.factor * x.policy) ** 2 * x.variance,
             "the policy's probability is not the time spent in the pair; multiply by"
             " the occupancy of the state.",
         ),

@@ -175,7 +175,7 @@ RATIO = Task(
 
 def _pseudo_counts(counts: Array, simulator: Array) -> Array:
     more = counts + (simulator > 0)
-    return np.nan_to_num(more / more.sum(axis=-1, keepdims=True) / simulator)
+    return np.asarray(np.nan_to_num(more / more.sum(-1, keepdims=True) / simulator))
 
 
 FROM_COUNTS = Task(
