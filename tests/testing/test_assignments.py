@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import oee_tabular as oee
+from oee_tabular.testing import assignments
 from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_case
 
 FOLDER = Path(__file__).parents[2] / "notebooks" / "assignments"
@@ -99,6 +100,10 @@ NO_ANSWERS = [
     (..., "not answered yet"),
     (lambda: 1.0, r"must take \(.*\); it takes \(\)"),
     (lambda x, *, y: 1.0, "must take"),
+    (abs, "must take"),
+    (dict, "raises|must take|must return"),
+    (type("Answer", (), {}), "must take|raises"),
+    (np.float64, "raises|must take|must return|is not right"),
 ]
 
 
@@ -153,6 +158,39 @@ def test_an_error_of_the_answer_is_told_with_its_line(error):
         check("1_risk", risk)
     assert found.value.__suppress_context__
     assert found.value._render_traceback_() == [f"RefusedAnswer: {found.value}"]
+
+
+def test_a_notebook_shows_the_sentence_alone(tmp_path):
+    """IPython prints no line of the package below a student's cell."""
+    pytest.importorskip("IPython")
+    lines = (
+        "from oee_tabular.testing.assignments import check",
+        "def risk(g, p, q): return 'seven'",
+        "check('1_risk', risk)",
+    )
+    (tmp_path / "cells.ipy").write_text("\n".join(lines))
+    found = subprocess.run(
+        [sys.executable, "-m", "IPython", "--colors=NoColor", "cells.ipy"],
+        cwd=tmp_path,
+        text=True,
+        capture_output=True,
+        check=False,
+        env=os.environ
+        | {"PYTHONPATH": str(FOLDER.parents[1]), "IPYTHONDIR": str(tmp_path / "i")},
+    )
+    said = "RefusedAnswer: risk must return one number; it returns the text 'seven'."
+    assert found.stdout.strip().startswith(said)
+    assert "Traceback" not in found.stdout + found.stderr
+    assert "judging.py" not in found.stdout + found.stderr
+
+
+@pytest.mark.parametrize("exercise", TASKS)
+def test_parameters_in_another_order_are_refused(exercise):
+    names = TASKS[exercise].partition("(")[2].removesuffix(")").split(", ")
+    turned = eval(f"lambda {', '.join(names[::-1])}: 1.0")
+    assert "in this order; it takes" in refusal(exercise, turned)
+    others = eval(f"lambda {', '.join(f'x{k}' for k in range(len(names)))}: None")
+    assert "returns nothing" in refusal(exercise, others)
 
 
 def test_control_c_is_no_answer():
@@ -378,6 +416,29 @@ def test_nbgrader_makes_the_same_cells(path):
     ours = read(make()["released"](path))
     assert [c.source for c in book.cells] == [c.source for c in ours.cells]
     assert [c.metadata for c in book.cells] == [c.metadata for c in ours.cells]
+
+
+def test_the_page_says_what_is_there():
+    page = (FOLDER.parent / "assignments.md").read_text()
+    rows = re.findall(r"^\| (\d) \| .*\]\((assignments/release/.*)\) \|$", page, re.M)
+    expected = [
+        (path.parent.name[-1], make()["released"](path).relative_to(FOLDER.parent))
+        for path in SOURCES
+    ]
+    assert [(week, Path(name)) for week, name in rows] == expected
+    for name in re.findall(r"\]\(([^)#]+\.(?:md|ipynb))", page):
+        assert (FOLDER.parent / name).is_file(), name
+    tolerances = {
+        task.tolerance
+        for task in assignments._TASKS.values()
+        if task.judge is task.bounds is None and not task.choices
+    }
+    assert tolerances == {1e-7, 1e-6}
+    assert "to seven digits (six where" in page
+    assert assignments.bootstrap.N_SIGMAS == 6
+    assert draw_case("5_bootstrap", 0)["n_resamples"] == 4000
+    assert "six standard errors of 4000 resamples" in " ".join(page.split())
+    assert f"at most {runpy.run_path(str(FOLDER / 'grade.py'))['SECONDS']} s" in page
 
 
 # grading without nbgrader

@@ -242,14 +242,20 @@ def require_function(task: Task, answer: Any) -> None:
         refuse(task, f"must be a function {task.call}; it is {describe(answer)}")
     try:
         signature = inspect.signature(answer)
-    except (TypeError, ValueError):
+    except Exception:  # a builtin, or a __signature__ that is none
         signature = None
     if signature:
-        count = len(task.parameters.split(", "))
+        names = task.parameters.split(", ")
         try:
-            signature.bind(*[None] * count)
+            signature.bind(*names)
         except TypeError:
             refuse(task, f"must take ({task.parameters}); it takes {signature}")
+        theirs = list(signature.parameters)
+        if theirs != names and sorted(theirs) == sorted(names):
+            refuse(
+                task,
+                f"must take ({task.parameters}) in this order; it takes {signature}",
+            )
     if name := borrowed_name(answer, set()):
         refuse(
             task,
