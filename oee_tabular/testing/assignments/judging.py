@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dis
 import inspect
 import io
 import warnings
@@ -25,10 +26,11 @@ from oee_tabular._checks import is_sparse
 from oee_tabular.typing import Array
 
 FIRST_HARD_CASE = 10  # cases before it have no zeros, ends or other special values
-CLOSE = 0.03  # of the largest right entry: an error of rounding or of a short iteration
+CLOSE = 0.03  # of the largest right entry
 # that an answer must share with a mistake, if it is a number or one of a few words
 N_CASES_OF_A_NUMBER = 3
 N_CASES_OF_A_WORD = 40
+LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "IMPORT_NAME")
 
 Arguments = dict[str, Any]
 
@@ -73,7 +75,7 @@ class Task:
     choices : tuple of str
         The texts that may be returned, where the answer is a text.
     tolerance : float
-        The allowed error, relative to the largest right entry.
+        The allowed error, relative to the largest right entry or to 1.
     bounds : callable or None
         The function of the arguments that returns the least and the largest right
         answer, where several are right.
@@ -146,8 +148,7 @@ class Task:
                     f"{said} Hint: nan and inf come from a division by 0 or from the"
                     f" logarithm of 0; say what holds there. {self.hint}"
                 )
-            size = np.abs(right)[np.isfinite(right)].max(initial=0.0)
-            if _is_between(found, low, high, CLOSE) and size > 0:
+            if _is_between(found, low, high, CLOSE, floor=0.0):
                 return (
                     f"{said} Hint: this is close. An iteration stops too early, a sum"
                     f" ends too early, or something is rounded. {self.hint}"
@@ -298,7 +299,11 @@ def borrowed_name(function: Any, seen: set[int]) -> str:
 
 def _names(code: CodeType) -> list[str]:
     """Return the names in a code object and in the functions inside it."""
-    names = [*code.co_names, *code.co_freevars]
+    names = [*code.co_freevars] + [
+        str(step.argval)
+        for step in dis.get_instructions(code)
+        if step.opname in LOADS  # attributes are names as well, and mean nothing here
+    ]
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             names += _names(constant)
@@ -370,11 +375,17 @@ def _as_numbers(value: Any) -> Array | None:
     return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
-def _is_between(found: Any, low: Any, high: Any, tolerance: float) -> bool:
-    """Return whether numbers lie between two others, inf as itself."""
+def _is_between(
+    found: Any, low: Any, high: Any, tolerance: float, floor: float = 1.0
+) -> bool:
+    """Return whether numbers lie between two others, inf as itself.
+
+    The tolerance is relative to the largest, or to ``floor`` where all are smaller: a
+    standard error of 0 is the root of what rounding leaves.
+    """
     found, low, high = (np.asarray(x, dtype=float) for x in (found, low, high))
     finite = np.abs(high)[np.isfinite(high)]
-    room = tolerance * max(1e-12, finite.max(initial=0.0))
+    room = tolerance * max(floor, finite.max(initial=0.0))
     inside = (found >= low - room) & (found <= high + room)
     return bool(np.all(inside | (found == low)))
 
