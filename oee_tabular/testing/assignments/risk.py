@@ -16,7 +16,8 @@ def _draw_risk(rng: np.random.Generator, is_hard: bool) -> Arguments:
     size = int(rng.integers(3, 7))
     p = draw_rows(rng, (size,), has_zeros=is_hard)
     q = draw_rows(rng, (size,), has_zeros=False)
-    g = np.where(p > 0, rng.uniform(0.2, 3.0, size), 0.0)
+    # where p = 0 a hard case has a g of 0 or any other
+    g = np.where((p > 0) | (rng.random(size) < 0.3), rng.uniform(0.2, 3.0, size), 0.0)
     return {"g": g, "p": p, "q": q}
 
 

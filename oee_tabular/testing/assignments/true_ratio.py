@@ -71,8 +71,9 @@ def _true_ratio(target: Array, simulator: Array) -> Array:
 def _draw_counts(rng: np.random.Generator, is_hard: bool) -> Arguments:
     pair = _draw_pair(rng, is_hard)
     n_states, n_actions, _ = pair["target"].shape
-    n = rng.integers(3, 12, size=(n_states, n_actions))
+    n = rng.integers(1 if is_hard else 3, 12, size=(n_states, n_actions))
     if is_hard:
+        n[0, 0] = 1
         n[rng.integers(n_states), rng.integers(n_actions)] = 0
     counts = draw_counts(rng, n, pair["target"])
     return {"counts": counts, "simulator": pair["simulator"]}
