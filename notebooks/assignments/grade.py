@@ -24,9 +24,9 @@ COLUMNS = ("file", "test", "points", "of", "message")
 
 def source_of(path):
     """Return the cells of the instructor's notebook of a submission."""
-    found = sorted((FOLDER / "source").glob(f"week_*/{path.name}"))
+    found = sorted((FOLDER / "source").glob(f"assignment_*/{path.name}"))
     if not found:
-        names = sorted(p.name for p in (FOLDER / "source").glob("week_*/*.ipynb"))
+        names = sorted(p.name for p in (FOLDER / "source").glob("assignment_*/*.ipynb"))
         raise ValueError(
             f"{path} must have the name of an assignment: {', '.join(names)}"
         )

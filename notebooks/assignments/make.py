@@ -54,8 +54,8 @@ def release(book):
 
 
 def sources():
-    """Return the instructor's notebooks, in the order of the weeks."""
-    return sorted((FOLDER / "source").glob("week_*/*.ipynb"))
+    """Return the instructor's notebooks, in their order."""
+    return sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
 
 
 def released(path):

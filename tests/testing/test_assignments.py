@@ -25,7 +25,7 @@ from oee_tabular.testing import assignments
 from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_case
 
 FOLDER = Path(__file__).parents[2] / "notebooks" / "assignments"
-SOURCES = sorted((FOLDER / "source").glob("week_*/*.ipynb"))
+SOURCES = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
 ALL_CASES = [*range(5), *range(10, 40)]  # what the visible and the hidden tests try
 
 
@@ -321,14 +321,16 @@ def test_the_gain_is_that_of_the_package():
 
 
 def test_eight_assignments_of_ten_points_ask_for_every_exercise():
-    assert [path.parent.name for path in SOURCES] == [f"week_{k}" for k in range(1, 9)]
+    assert [path.parent.name for path in SOURCES] == [
+        f"assignment_{k}" for k in range(1, 9)
+    ]
     asked = collections.Counter()
     for path in SOURCES:
         cells = code_cells(read(path))
         assert sum(about(cell).get("points", 0) for cell in cells) == 10
         for cell in cells:
             for name in re.findall(r'^check\("(\w+)", \w+', cell.source, re.M):
-                assert f"week_{name[0]}" == path.parent.name
+                assert f"assignment_{name[0]}" == path.parent.name
                 asked[name, "BEGIN HIDDEN TESTS" in cell.source] += 1
     assert asked == collections.Counter(
         {(name, is_hidden): 1 for name in TASKS for is_hidden in (False, True)}
@@ -425,7 +427,7 @@ def test_the_page_says_what_is_there():
         (path.parent.name[-1], make()["released"](path).relative_to(FOLDER.parent))
         for path in SOURCES
     ]
-    assert [(week, Path(name)) for week, name in rows] == expected
+    assert [(number, Path(name)) for number, name in rows] == expected
     for name in re.findall(r"\]\(([^)#]+\.(?:md|ipynb))", page):
         assert (FOLDER.parent / name).is_file(), name
     tolerances = {
@@ -468,7 +470,7 @@ def test_the_instructors_notebooks_get_all_points_from_an_empty_folder(tmp_path)
 
 def submission(folder, changes, name="risk.ipynb"):
     """The released notebook with other cells; ``changes``: grade id -> text or None."""
-    [path] = (FOLDER / "release").glob(f"week_*/{name}")
+    [path] = (FOLDER / "release").glob(f"assignment_*/{name}")
     book = read(path)
     book.cells = [
         cell
@@ -484,30 +486,33 @@ def submission(folder, changes, name="risk.ipynb"):
 def test_a_student_cannot_change_or_delete_a_test(tmp_path):
     good = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
     changes = {
-        "week_1_risk": good,
-        "week_1_risk_hidden": "pass",
-        "week_1_minimiser_visible": "print('Right.')",
-        "week_1_normalised_hidden": None,
+        "assignment_1_risk": good,
+        "assignment_1_risk_hidden": "pass",
+        "assignment_1_minimiser_visible": "print('Right.')",
+        "assignment_1_normalised_hidden": None,
     }
     found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
     assert "risk.ipynb: 1 of 10 points" in found
-    assert re.search(r"week_1_risk_hidden: 0: .*also where g = 0", found)
-    assert "week_1_normalised_hidden: 0: RefusedAnswer" in found
+    assert re.search(r"assignment_1_risk_hidden: 0: .*also where g = 0", found)
+    assert "assignment_1_normalised_hidden: 0: RefusedAnswer" in found
 
 
 def test_a_notebook_that_runs_for_ever(tmp_path):
-    path = submission(tmp_path, {"week_1_risk": "while True: pass"})
+    path = submission(tmp_path, {"assignment_1_risk": "while True: pass"})
     found = run_grade(path, "--seconds", 3, folder=tmp_path).stdout
     assert "risk.ipynb: 0 of 10 points" in found
-    assert "week_1_risk_visible: 0: it ran longer than 3.0 s" in found
+    assert "assignment_1_risk_visible: 0: it ran longer than 3.0 s" in found
 
 
 def test_a_notebook_that_ends_python_keeps_its_points(tmp_path):
     good = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
-    changes = {"week_1_risk": good, "week_1_minimiser": "import os\nos._exit(1)"}
+    changes = {
+        "assignment_1_risk": good,
+        "assignment_1_minimiser": "import os\nos._exit(1)",
+    }
     found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
     assert "risk.ipynb: 1 of 10 points" in found
-    assert "week_1_minimiser_visible: 0: the notebook ended its process" in found
+    assert "assignment_1_minimiser_visible: 0: the notebook ended its process" in found
 
 
 @pytest.mark.parametrize(

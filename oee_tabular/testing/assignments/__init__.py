@@ -29,7 +29,7 @@ from oee_tabular.testing.assignments.judging import (
 
 __all__ = ["TASKS", "RefusedAnswer", "check", "draw_case"]
 
-WEEKS = (
+ASSIGNMENTS = (
     risk,
     true_ratio,
     evaluation,
@@ -40,7 +40,9 @@ WEEKS = (
     decision,
 )
 # the names of the exercises, with the call that each asks for
-_TASKS: dict[str, Task] = {task.name: task for week in WEEKS for task in week.TASKS}
+_TASKS: dict[str, Task] = {
+    task.name: task for part in ASSIGNMENTS for task in part.TASKS
+}
 TASKS: dict[str, str] = {name: task.call for name, task in _TASKS.items()}
 VISIBLE_CASES = range(5)
 MAX_CASE = 9999
@@ -52,7 +54,7 @@ def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -
     Parameters
     ----------
     exercise : str
-        The week's number and a word, as in "1_risk"; one of ``TASKS``.
+        The assignment's number and a word, as in "1_risk"; one of ``TASKS``.
     answer : callable
         Your function; ``TASKS[exercise]`` says how it is called.
     cases : iterable of int, default range(5)

@@ -1,4 +1,4 @@
-"""Week 5: the bootstrap of whole episodes, and its percentile interval."""
+"""Assignment 5: the bootstrap of whole episodes, and its percentile interval."""
 
 from __future__ import annotations
 

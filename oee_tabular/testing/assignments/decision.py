@@ -1,4 +1,4 @@
-"""Week 8: a gain with its standard error, and whether to deploy."""
+"""Assignment 8: a gain with its standard error, and whether to deploy."""
 
 from __future__ import annotations
 

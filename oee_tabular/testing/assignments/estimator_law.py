@@ -1,4 +1,4 @@
-"""Week 7: laws for estimators, judged by the estimators that they let pass.
+"""Assignment 7: laws for estimators, judged by the estimators that they let pass.
 
 An estimator here is a function (P, r, mu, discount, counts, policy) of the simulator's
 arrays and of the counts of a log; it returns a number. A law returns True or False.

@@ -1,4 +1,4 @@
-"""Week 3: values with and without a horizon, and the occupancy."""
+"""Assignment 3: values with and without a horizon, and the occupancy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Week 4: importance sampling over the episodes of a log, one weight a step."""
+"""Assignment 4: importance sampling over the episodes of a log, one weight a step."""
 
 from __future__ import annotations
 

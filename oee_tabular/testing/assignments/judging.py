@@ -61,7 +61,7 @@ class Task:
     Attributes
     ----------
     name : str
-        The week's number and a word, as in "1_risk".
+        The assignment's number and a word, as in "1_risk".
     call : str
         How the answer is called, as in "risk(g, p, q)".
     draw : callable

@@ -1,4 +1,4 @@
-"""Week 6: what a state-action pair adds to the variance, and where to record next."""
+"""Assignment 6: what a state-action pair adds to the variance, and where to record next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Week 1: the risk whose minimiser is a ratio, and its minimiser in a box."""
+"""Assignment 1: the risk whose minimiser is a ratio, and its minimiser in a box."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Week 2: the true ratio of two environments, its support, and the log's."""
+"""Assignment 2: the true ratio of two environments, its support, and the log's."""
 
 from __future__ import annotations
 
