@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import paper
 from oee_tabular.ratio import density_ratio
 from oee_tabular.testing.assignments.drawing import draw_rows
 from oee_tabular.testing.assignments.judging import Arguments, Mistake, Task
@@ -23,7 +22,7 @@ def _draw_risk(rng: np.random.Generator, is_hard: bool) -> Arguments:
 
 
 def _risk(g: Array, p: Array, q: Array) -> float:
-    return float(paper.risk(g, p, q))
+    return float(q @ g - p[p > 0] @ np.log(g[p > 0]))
 
 
 def _draw_box(rng: np.random.Generator, is_hard: bool) -> Arguments:
