@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import oee_tabular as oee
+import oee_tabular.paper
 from oee_tabular.testing import assignments
 from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_case
 
@@ -283,6 +284,13 @@ def test_bad_sets_of_cases(cases):
 
 
 # the oracles, by other routes of the package
+
+
+def test_the_risk_is_the_paper_s():
+    for case in ALL_CASES:
+        g, p, q = draw_case("1_risk", case).values()
+        found = assignments.risk.RISK.solve(g, p, q)
+        assert found == pytest.approx(oee.paper.risk(g, p, q), rel=1e-12)
 
 
 def test_the_design_reaches_the_efficiency_bound():

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from oee_tabular import _checks
+from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.testing.assignments import (
     bootstrap,
@@ -48,6 +49,7 @@ VISIBLE_CASES = range(5)
 MAX_CASE = 9999
 
 
+@suggest_keywords
 def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -> None:
     """Print whether a function is right, or refuse it with a hint.
 
@@ -89,6 +91,7 @@ def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -
     print(f"Right, in {len(numbers)} case{'s' if len(numbers) > 1 else ''}.")
 
 
+@suggest_keywords
 def draw_case(exercise: str, case: int) -> dict[str, Any]:
     """Draw the arguments that ``check`` calls a function with in one case.
 
