@@ -370,6 +370,7 @@ WRONG = [
     ("2_ratio", "target / simulator.mean(axis=1, keepdims=True)", "average over"),
     ("2_ratio", "target.sum(axis=1) / simulator.sum(axis=1)", "array of shape"),
     ("2_counts", "np.nan_to_num(counts / simulator)", "no probabilities"),
+    ("2_counts", "counts / counts.sum(-1, keepdims=True) / simulator", "0 / 0 is nan"),
     (
         "2_counts",
         "np.nan_to_num(counts / counts.sum() / simulator)",

@@ -146,12 +146,12 @@ class Task:
             if not np.all(np.isfinite(found) | ~np.isfinite(right)):
                 return (
                     f"{said} Hint: nan and inf come from a division by 0 or from the"
-                    f" logarithm of 0; say what holds there. {self.hint}"
+                    f" logarithm of 0; say what holds there: {self.hint}"
                 )
             if _is_between(found, low, high, CLOSE, floor=0.0):
                 return (
                     f"{said} Hint: this is close. An iteration stops too early, a sum"
-                    f" ends too early, or something is rounded. {self.hint}"
+                    f" ends too early, or something is rounded: {self.hint}"
                 )
         return f"{said} Hint: {self.hint}"
 

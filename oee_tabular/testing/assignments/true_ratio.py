@@ -189,6 +189,13 @@ FROM_COUNTS = Task(
     tolerance=1e-6,
     mistakes=(
         Mistake(
+            lambda counts, simulator: (
+                counts / counts.sum(axis=-1, keepdims=True) / simulator
+            ),
+            "0 / 0 is nan, in a row without counts, whose ratio stays 1, and where the"
+            " simulator never goes, where it is 0.",
+        ),
+        Mistake(
             lambda counts, simulator: np.nan_to_num(counts / simulator),
             "counts are no probabilities; divide each row by its sum.",
         ),
