@@ -32,7 +32,7 @@ extensions = [
     "myst_nb",
 ]
 root_doc = "index"
-exclude_patterns = ["results", "site"]
+exclude_patterns = ["results", "site", "assignments/source"]
 html_static_path = ["site.css", "static"]
 myst_enable_extensions = ["dollarmath", "amsmath"]
 # MathJax 3.2.2, which is part of the site: no page needs a network

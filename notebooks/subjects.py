@@ -216,6 +216,14 @@ SUBJECTS = {
             "relabelled_log",
         ),
     },
+    "testing.assignments": {
+        "Code exercises of the assignments": (
+            "check",
+            "draw_case",
+            "TASKS",
+            "RefusedAnswer",
+        ),
+    },
     "lab.bench": {
         "Run": ("run", "League", "league_of"),
         "Families of environment shift": (

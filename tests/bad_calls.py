@@ -980,6 +980,16 @@ check_estimator(Simulator(), laws=["shfit"])  ->  laws must be one of ...'shift'
 check_estimator(Simulator(), claims=["unbaised"])  ->  claims must ...got 'unbaised' (did you mean 'unbiased'?)
 check_estimator(Simulator(), claims="unbiased")  ->  claims must be a collection of words; got str
 check_estimator(Oracle, from_pair=True)  ->  estimator must be a function (simulator, target) ->
+check_answer("risk", abs)  ->  exercise must be one of 1_risk, ...; it is 'risk'
+check_answer(None, abs)  ->  exercise must be one of 1_risk, ...; it is None
+check_answer("1_risk", abs, cases="12")  ->  cases must be numbers of cases, as in range(5); it is '12'
+check_answer("1_risk", abs, cases=3)  ->  cases must be numbers of cases, as in range(5); it is 3
+check_answer("1_risk", abs, cases=[])  ->  cases must have a case; it is empty
+check_answer("1_risk", abs, cases=[0, -1])  ->  cases[1] must be an integer from 0 to 9999; it is -1
+check_answer("1_risk", abs, cases=[0.5])  ->  cases[0] must be an integer from 0 to 9999; it is 0.5
+draw_case("9_risk", 0)  ->  exercise must be one of 1_risk, ...; it is '9_risk'
+draw_case("1_risk", True)  ->  case must be an integer from 0 to 9999; it is True
+draw_case("1_risk", None)  ->  case must be an integer from 0 to 9999; it is None
 case("raged")  ->  name must be one of 'ragged', ...; got 'raged'
 relabelled_log(LOG, [0, 1], [1, 0])  ->  states must have a number for each of ... states; it has 2
 relabelled_log(LOG, [0] * 9, [1, 0])  ->  states must be a permutation of 0, 1, ...; it is [0, 0

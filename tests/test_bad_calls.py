@@ -23,6 +23,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import ContinuousTransitions, FiniteMDP, Transitions
+from oee_tabular.testing.assignments import check, draw_case
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
 CAN = [[True, True], [False, True]]
@@ -255,6 +256,8 @@ NAMES |= globals() | {
     "from_frame": Transitions.from_frame,
     "TRIED": oee.Problem(GRID, LOG, trials=oee.Trials([-1.0], policy=UNIFORM)),
     "success_simulator": oee.data.success_simulator,
+    "check_answer": check,
+    "draw_case": draw_case,
     "LAKE": oee.tasks.make_environment("FrozenLake-v1"),
 }
 LINES = [line for line in TABLE.replace("\n  ", " ").splitlines() if "  ->  " in line]

@@ -94,7 +94,15 @@ def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     "page",
-    ["peers", "other_libraries", "intervals", "deciding", "statements", "trials"],
+    [
+        "peers",
+        "other_libraries",
+        "intervals",
+        "deciding",
+        "statements",
+        "trials",
+        "assignments",
+    ],
 )
 def test_pages_print_what_they_show(page, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -51,6 +51,11 @@ NAMES = {
         check
     """
     ),
+    "oee_tabular.testing.assignments": (
+        """
+        TASKS RefusedAnswer check draw_case
+    """
+    ),
 }
 
 

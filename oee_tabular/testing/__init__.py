@@ -5,6 +5,7 @@
 ``compare_with_oracle`` shows its bias, variance and error beside exact limits and
 bounds (``oracles``); ``mdps``, ``policies``, ``mdp_pairs``, ``horizons`` and ``logs``
 draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'``).
+``exercises`` and ``assignments`` check the answers of students.
 
 Objects. v(D, pi) is the estimate from a log D, J the value of pi in the target, L the
 estimator's own limit, r the rewards, b and c numbers, sigma a permutation of states and
