@@ -117,6 +117,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Return a name of ``oee_tabular.continuous``, which is imported on use."""
+    # the package of the Kinova arm, under the name by which notebook 09 reads it
+    if name == "kinova":
+        return importlib.import_module("oee_tabular.continuous.task.kinova")
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

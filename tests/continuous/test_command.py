@@ -60,7 +60,7 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(run):
         " --policy half=mix:0.5 --grid=16x16 --normalized --task-option=simulations=400"
         " --estimators simulator,oee,model-based --target cartpole:gravity=15"
     )
-    shown = run(words)
+    shown = run(f"{words} --verbose")
     for text in (
         "simulator (continuous)",
         "simulator (plain)",

@@ -546,7 +546,7 @@ def test_redirected_output_is_whole(encoding, tmp_path):
     assert done.returncode == 0, done.stderr
     text = done.stdout.decode(encoding)
     assert "In the target, the policy" in text
-    assert "Value: sum of discount^t" in text
+    assert "A value is the discounted sum" in text
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell")

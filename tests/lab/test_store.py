@@ -36,7 +36,7 @@ def test_other_settings_are_refused_with_the_difference(folder):
         for name, data in before.items()
         if name not in ("settings.json", "cells.jsonl")
     }
-    assert len(digests) == 5
+    assert len(digests) == 6
     assert settings.pop("files") == digests
     assert settings.pop("made_by")["version"] == code_version()
     assert settings == SETTINGS.as_dict()
