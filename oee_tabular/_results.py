@@ -330,6 +330,8 @@ def _check_of(kind: Any) -> Check | None:
 
 def _number(value: Any, name: str) -> Any:
     """Require a number; nan and infinity are numbers."""
+    if isinstance(value, np.longdouble):
+        return float(value)  # scipy has no functions of longer numbers
     if isinstance(value, float | np.floating):
         return value
     try:

@@ -299,3 +299,12 @@ def test_a_result_that_holds_itself_can_be_written():
 def test_an_error_of_a_callers_array_names_the_argument_and_what_it_raised():
     with pytest.raises(ValueError, match=r"^policy must be .*Spite"):
         oee.policy_value(oee.testing.case("ragged").target, spiteful("__array__"))
+
+
+def test_a_longer_float_is_kept_as_a_float():
+    """Scipy has no functions of them: a width failed long after the call."""
+    found = oee.inference.Interval(
+        np.longdouble("0.1"), 1.0, np.longdouble("0.95"), "likelihood", {}
+    )
+    assert type(found.confidence) is float
+    assert type(found.lower) is float
