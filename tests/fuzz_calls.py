@@ -384,8 +384,9 @@ def refusal(error, values, replaced):
     if re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text):
         return "control", ascii(text)
     files = [values[name] for name in replaced if isinstance(values[name], Path)]
-    if any(str(error).startswith(repr(str(path))) for path in files):
-        return "refused", text  # a file is called by its name
+    # a file is called by its name, and so is one in a folder
+    if any(str(error).startswith(repr(str(path))[:-1]) for path in files):
+        return "refused", text
     if isinstance(error, OTHER_NAMES) or named(str(error), values):
         return "refused", text
     return "nameless", text

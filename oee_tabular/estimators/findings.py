@@ -183,14 +183,17 @@ def _low_coverage(facts: Mapping[str, Any], error: float | None) -> Findings:
     if not unrecorded > MIN_SHARE:
         return ()
     text = (
-        "in this estimator's own model the policy spends {} of its discounted time"
-        " in unrecorded state-action pairs."
+        "{} of the policy's discounted time is in state-action pairs that were never"
+        " recorded, by this estimator's own model."
     )
     alone = None
     if "n_keys" in facts:
         text += " Transitions of the same key elsewhere stand for them."
     elif error is not None and "unrecorded_standard_error" not in facts:
-        text += " The standard error ignores them. Above 10% there is no interval."
+        text += (
+            " Its standard error leaves them out, so it is too small. Above 10% there is"
+            " no interval."
+        )
     elif facts.get("standard_error_of") is not None:
         alone = f"{text[:-1]}, so there is no interval."
     return (Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone),)

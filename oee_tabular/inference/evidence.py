@@ -13,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, largest_reward, occupancy, with_rows
-from oee_tabular.mdp import FiniteMDP, Rows, check_policy
+from oee_tabular.mdp import FiniteMDP, Rows, check_policy, possible_sums
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
 # values may be 1e14 times as large at usual discounts, and their squares must be floats
@@ -178,6 +178,26 @@ def unrecorded_share(evidence: Evidence) -> float:
     """Return the share of the policy's time in stochastic rows without data."""
     time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.is_stochastic].sum())
+
+
+def possible_values(evidence: Evidence) -> tuple[float, float]:
+    """Return between which ends J lies, whatever the target's transitions are.
+
+    The rewards of the pairs that the policy can take, at their least and at their most
+    in every step, are summed with their weights gamma^t. The ends are infinite where
+    the simulator is known from samples, as its rewards are not certain then, and where
+    endless rewards have no discount.
+    """
+    model = evidence.model
+    is_endless = evidence.horizon is None and model.discount == 1.0
+    if model.sampling is not None or is_endless:
+        return -np.inf, np.inf
+    taken = evidence.rows.spread((evidence.policy > 0).reshape(-1))
+    if not taken.any():
+        return -np.inf, np.inf
+    rewards = evidence.transition_rewards[taken]
+    lowest, highest = float(rewards.min()), float(rewards.max())
+    return possible_sums(lowest, highest, evidence.horizon, model.discount, ends=False)
 
 
 def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:

@@ -28,6 +28,7 @@ from oee_tabular.inference.evidence import (
     describe_rows,
     evidence_of,
     gather,
+    possible_values,
     reachable_rows,
     require_squares,
     unrecorded_share,
@@ -89,7 +90,11 @@ class Interval:
         Plain numbers. ``unrecorded_share`` is the share of the policy's discounted time
         in stochastic pairs that were never recorded, and ``unrecorded_pairs`` how many
         of them the policy reaches; ``unrecorded_factor`` is the factor that a
-        likelihood interval allows them. If impossible transitions were dropped,
+        likelihood interval allows them. A likelihood interval is cut to what the
+        rewards of the policy's pairs can sum to (``lowest_possible`` and
+        ``highest_possible``), and so is ``sampling``; ``uncut_lower``, ``uncut_upper``
+        and ``uncut_sampling_lower``, ``uncut_sampling_upper`` are the ends before,
+        where that changes them. If impossible transitions were dropped,
         ``dropped_transitions`` is their number and ``dropped_share`` their estimated
         share of the policy's time. The others describe how the method found the ends.
     status : str
@@ -331,7 +336,7 @@ def interval(
     Delta_k is by how much J(Q) falls (rises) in the worst (best) model whose unrecorded
     pairs are within the factor k of the estimated rows Q = zeta P, by robust policy
     evaluation, which is certified. No end goes beyond both ``sampling`` and
-    ``worst_case``. So the interval holds the value, and a larger factor below ``inf``
+    ``worst_case``, or beyond what the rewards can sum to. So the interval holds the value, and a larger factor below ``inf``
     never gives a shorter one. The ends at ``inf`` are around the value by
     maximum likelihood, so one of them can lie inside.
 
@@ -718,6 +723,11 @@ def _likelihood_interval(
     if factor == 1.0 and sampling is not None:
         is_searched = False
         quoted = sampling
+    possible = possible_values(evidence)
+    facts |= {"lowest_possible": possible[0], "highest_possible": possible[1]}
+    quoted = _cut(*quoted, possible, facts, "uncut")
+    if sampling is not None:
+        sampling = _cut(*sampling, possible, facts, "uncut_sampling")
     if not all(end.is_final for end in ends):
         facts["stopped_after"] = seconds
         facts["inner_bounds_of"] = "interval" if is_searched else "worst case"
@@ -729,6 +739,25 @@ def _likelihood_interval(
         sampling=sampling,
         worst_case=worst,
     )
+
+
+def _cut(
+    lower: float,
+    upper: float,
+    possible: tuple[float, float],
+    facts: dict[str, Any],
+    name: str,
+) -> tuple[float, float]:
+    """Return ends within what the rewards can sum to, and keep those before.
+
+    A normal quantile knows no bounds: around a value near the largest one possible, its
+    upper end is often beyond. The ends before the cut go into ``facts`` where it
+    changes them.
+    """
+    cut = float(np.clip(lower, *possible)), float(np.clip(upper, *possible))
+    if cut != (lower, upper):
+        facts |= {f"{name}_lower": lower, f"{name}_upper": upper}
+    return cut
 
 
 def _describe_ends(ends: list[End]) -> dict[str, Any]:

@@ -318,7 +318,8 @@ def _join(
         elif all(side is not None for side, _ in found):
             other, _ = _refine(find, known, ends_of, outcomes, limit)
             more[label] = (other.lower, other.upper)
-    facts = dict(own.diagnostics)
+    # the cut is of the log's own interval: trials may show returns beyond
+    facts = {k: v for k, v in own.diagnostics.items() if not k.startswith("uncut")}
     facts |= {
         "trials": outcomes.number,
         "trials_mean": outcomes.mean,
@@ -342,13 +343,27 @@ def _join(
 
 
 def _quoted(found: Interval) -> tuple[float, float]:
-    """Return the ends of an interval."""
-    return found.lower, found.upper
+    """Return the ends of an interval, not cut to what the rewards can sum to.
+
+    Cut ends would not move with the level, by which the likelihood is known.
+    """
+    facts = found.diagnostics
+    return (
+        facts.get("uncut_lower", found.lower),
+        facts.get("uncut_upper", found.upper),
+    )
 
 
 def _sampling(found: Interval) -> tuple[float, float] | None:
-    """Return the ends if unrecorded pairs behave as estimated."""
-    return found.sampling
+    """Return the ends if unrecorded pairs behave as estimated, not cut."""
+    if found.sampling is None:
+        return None
+    lower, upper = found.sampling
+    facts = found.diagnostics
+    return (
+        facts.get("uncut_sampling_lower", lower),
+        facts.get("uncut_sampling_upper", upper),
+    )
 
 
 def _worst(found: Interval) -> tuple[float, float] | None:

@@ -61,6 +61,7 @@ from oee_tabular.mdp.horizons import SHORT_HORIZON as SHORT_HORIZON
 from oee_tabular.mdp.horizons import horizon_length as horizon_length
 from oee_tabular.mdp.horizons import limit_horizon as limit_horizon
 from oee_tabular.mdp.horizons import optional_horizon_length as optional_horizon_length
+from oee_tabular.mdp.horizons import possible_sums as possible_sums
 from oee_tabular.mdp.horizons import total_discount as total_discount
 from oee_tabular.mdp.naming import NAMELESS as NAMELESS
 from oee_tabular.mdp.naming import Name as Name

@@ -136,3 +136,23 @@ def total_discount(discount: float, horizon: int | None) -> float:
         return (1.0 - discount**horizon) / rest
     # from 1/2 on the rest is exact, and near 1 it has digits that discount^T lacks
     return -math.expm1(horizon * math.log1p(-rest)) / rest
+
+
+def possible_sums(
+    lowest: float, highest: float, horizon: int | None, discount: float, *, ends: bool
+) -> tuple[float, float]:
+    """Return between which ends sum_{t<T} gamma^t r_t lies, by the rewards' own.
+
+    Where episodes may end, rewards are 0 from then on. Rewards of 0 sum to 0, however
+    many they are.
+
+    >>> possible_sums(-2.0, -1.0, 3, 1.0, ends=False)
+    (-6.0, -3.0)
+    >>> possible_sums(-2.0, -1.0, None, 0.5, ends=True)
+    (-4.0, 0.0)
+    """
+    weight = total_discount(discount, horizon)
+    if ends:
+        lowest = min(lowest, 0.0)
+        highest = max(highest, 0.0)
+    return lowest and lowest * weight, highest and highest * weight

@@ -159,6 +159,8 @@ def make_answers(report: Report) -> list[Answer]:
     for policy, first in first_results(report.results).items():
         row = make_record(report, first)
         simulator = record_of_simulator(report, policy)
+        # rollouts' own noise is small, and no fault of the simulator
+        is_exact = simulator.get("standard_error_of") == "rollouts"
         likelihood = report.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
         unrecorded = 0
         if likelihood is not None:
@@ -178,7 +180,7 @@ def make_answers(report: Report) -> list[Answer]:
                 row["upper"],
                 row["interval_method"],
                 simulator.get("value"),
-                simulator.get("standard_error"),
+                None if is_exact else simulator.get("standard_error"),
                 row["true_value"],
                 row.get("coverage"),
                 unrecorded,

@@ -55,6 +55,7 @@ def render_short(content: Content, *, all: bool = False) -> str:
     if has_row_for_each_policy(content) and not all:
         shown = first_notes(content.notes, stated_pairs(content))
         table = comparison_table(content)
+        is_cited = False
         # the policies' own rows are in the table
         more_rows = len(content.shown) - len(content.comparison)
     else:
@@ -63,16 +64,24 @@ def render_short(content: Content, *, all: bool = False) -> str:
         shown = first_notes(content.notes, pairs)
         rows = cite_notes(records, shown)
         table = align(short_columns(content, rows), rows)
+        is_cited = True
         more_rows = 0
     hidden_rows = 0 if all else len(content.records) - len(content.shown)
     rest = text.left_out(len(content.notes) - len(shown), more_rows, hidden_rows)
-    numbered = [f"[{k}] {note.text}" for k, note in enumerate(shown, start=1)]
     return join(
         fold([content.brief]),
-        [*table, *fold([f"A value is {content.meaning}."])],
-        fold(numbered, indent="    "),
+        [*table, *fold([describe_values(content)])],
+        list_notes(shown, is_cited=is_cited),
         fold([provenance(content), rest]),
     )
+
+
+def describe_values(content: Content) -> str:
+    """Say what a value is, which is better, and why exact ones can be known."""
+    sentence = f"A value is {content.meaning}; larger is better."
+    if content.truth:
+        sentence += " Exact values are known here, because the target itself is given."
+    return sentence
 
 
 def render_comparison(report: Report, *, verbose: bool) -> str:
@@ -198,13 +207,35 @@ def first_notes(notes: Sequence[Note], pairs: set[tuple[str, str]]) -> list[Note
 
 
 def cite_notes(rows: Sequence[Row], notes: Sequence[Note]) -> list[Row]:
-    """Return rows with the numbers, from 1, of the notes that are about them."""
+    """Return rows with the numbers, from 1, of the notes that are about them.
+
+    A note that is about no row has no number.
+    """
+    about_rows = [note for note in notes if note.pairs]
     cited: list[Row] = []
     for row in rows:
         pair = (row["policy"], row["estimator"])
-        numbers = [k for k, note in enumerate(notes, start=1) if pair in note.pairs]
+        numbers = [
+            k for k, note in enumerate(about_rows, start=1) if pair in note.pairs
+        ]
         cited.append({**row, "notes": numbers})
     return cited
+
+
+def list_notes(notes: Sequence[Note], *, is_cited: bool) -> list[str]:
+    """Write notes below a table, those that its rows cite with their numbers.
+
+    A number that no row has would send the reader looking for it.
+    """
+    lines = []
+    number = 0
+    for note in notes:
+        if is_cited and note.pairs:
+            number += 1
+            lines += fold([f"[{number}] {note.text}"], indent="    ")
+        else:
+            lines += fold([f"- {note.text}"], indent="  ")
+    return lines
 
 
 def number_notes(content: Content, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:

@@ -396,25 +396,28 @@ def test_of_simulator(
         if tested == 1:
             each = "those of the one recorded state-action pair do so"
         return (
-            "The target differs from the simulator. The recorded transitions reject"
-            f" the simulator: {each} by {'itself' if rejected == 1 else 'themselves'}. In"
-            " all of them together, what it calls likely is as frequent as it says"
+            "The target differs from the simulator. The recorded transitions show it:"
+            f" {each} by {'itself' if rejected == 1 else 'themselves'}. In all of them"
+            " together, what the simulator calls likely is as frequent as it says"
             f" (z = {z:.1f})."
         )
     sign = "less" if z < 0 else "more"
     whole = (
-        "The target differs from the simulator. Together the recorded transitions reject"
-        f" the simulator (z = {z:.1f} standard deviations: what it calls likely happens"
-        f" {sign} often than it says)."
+        "The target differs from the simulator. What the simulator calls likely happens"
+        f" {sign} often there than it says (z = {z:.1f} standard deviations, over all"
+        " recorded transitions together)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
     if not rejected:
-        return f"{whole} No single one of the {pairs} rejects it by itself."
+        return (
+            f"{whole} Many small differences add up to that: none of the {pairs} shows it"
+            " alone."
+        )
     if rejected == tested:
-        return f"{whole} Each of the {pairs} rejects it by itself as well."
-    verb = "rejects it by itself" if rejected == 1 else "reject it by themselves"
-    return f"{whole} {rejected:,} of the {pairs} {verb}."
+        return f"{whole} Each of the {pairs} shows it alone as well."
+    verb = "shows" if rejected == 1 else "show"
+    return f"{whole} {rejected:,} of the {pairs} {verb} it alone."
 
 
 def distance_from_simulator(
@@ -614,21 +617,21 @@ def left_out(notes: int, rows: int, hidden: int) -> str:
     """
     more = []
     if notes:
-        more.append(count(notes, "note"))
+        more.append(count(notes, "less important note"))
     if rows:
-        more.append(count(rows, "row"))
+        more.append(f"a table of {count(rows, 'row')} by estimator")
     parts = []
     options = []
     if more:
-        parts.append(f"{', '.join(more)} (--verbose)")
+        parts.append(f"{' and '.join(more)} (--verbose)")
         options.append("verbose=True")
     if hidden:
-        parts.append(f"{count(hidden, 'row')} (--all)")
+        parts.append(f"{count(hidden, 'row')} of other estimators (--all)")
         options.append("all=True")
     if not parts:
         return ""
-    told = " and ".join(parts)
-    return f"Left out: {told}; in Python: report.to_text({', '.join(options)})."
+    told = "; ".join(parts)
+    return f"Not shown: {told}; in Python: report.to_text({', '.join(options)})."
 
 
 def provenance(
@@ -644,7 +647,7 @@ def provenance(
     if counts is not None:
         sizes = (count(counts[0], "transition"), count(counts[1], "state"))
     parts = []
-    sources = ("the target's log", "the simulator")
+    sources = ("the log that was recorded in the target", "the simulator")
     for what, name, size in zip(sources, names, sizes, strict=True):
         about = ", ".join(filter(None, (name, size)))
         if about:

@@ -9,6 +9,7 @@ line, in the order of their numbers (``layout``): renamed states keep their plac
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -350,12 +351,21 @@ def _equally_likely_paths(pair: Case, copies: int) -> IntArray:
     next_of = _equally_likely(rows, "transitions")
     n_choices = action_of.shape[1]
     n_moves = next_of.shape[1]
-    total = copies * len(state) * (n_choices * n_moves) ** pair.steps
+    n_paths = len(state) * (n_choices * n_moves) ** pair.steps
+    total = copies * n_paths
+    if total > MAX_EPISODES >= n_paths:
+        raise ArgumentError(
+            "copies",
+            f"must be at most {MAX_EPISODES // n_paths}: a log has at most"
+            f" {MAX_EPISODES} episodes, and each copy {n_paths}; got {copies}",
+        )
     if total > MAX_EPISODES:
+        exponent = math.log10(total)
+        shown = str(total) if exponent < 15 else f"about 10^{exponent:.0f}"
         raise ArgumentError(
             "pair",
             f"must have at most {MAX_EPISODES} equally likely episodes for an exact"
-            f" log; it has {total} (fewer steps, or pair.log, which draws one)",
+            f" log; it has {shown} (fewer steps, or pair.log, which draws one)",
         )
     paths = np.zeros((len(state), 0, 3), dtype=np.int64)
     for _ in range(pair.steps):

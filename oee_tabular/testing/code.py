@@ -20,6 +20,8 @@ IMPORTS = "import numpy as np\nimport oee_tabular as oee"
 MAX_NUMBERS = 400  # of an array that is written out
 MAX_ROWS = 64  # of a log that is written out
 WIDTH = 88
+# of an integer that is written in base 10: Python reads and writes at most 4300 digits
+MAX_BITS = 14_000
 
 
 def as_code(value: object) -> str:
@@ -86,6 +88,8 @@ def _write(value: object) -> str:
         return f"{'-' if value < 0 else ''}np.{'nan' if np.isnan(value) else 'inf'}"
     if value is None or isinstance(value, bool):
         return repr(value)
+    if isinstance(value, int) and int.bit_length(value) > MAX_BITS:
+        return hex(int.__add__(value, 0))
     for kind in (int, float, str):
         if isinstance(value, kind):
             # of a subclass the plain value: its own text may be anything

@@ -74,7 +74,7 @@ def measure(family, name, size, seed):
 
     own = find(QUANTILE)
     known = {z: find(z) for z in NODES}
-    curve = joining._curve(known, lambda one: (one.lower, one.upper), (QUANTILE,))
+    curve = joining._curve(known, joining._quoted, (QUANTILE,))
     estimate = oee.estimators.OffEnvironment()(alone, policy)
     rows = []
     for m in NUMBERS:

@@ -1,10 +1,13 @@
 """How many levels commands are given by: what it does to values is measured and mended."""
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
+from oee_tabular.continuous.correction.history import HistoryTask, blend_steps
 from oee_tabular.continuous.evaluation.command_levels import (
     Rounding,
     has_only,
@@ -14,8 +17,10 @@ from oee_tabular.continuous.evaluation.command_levels import (
 )
 from oee_tabular.continuous.evaluation.policies import as_probabilities
 from oee_tabular.continuous.evaluation.rollouts import Rollouts
+from oee_tabular.continuous.log.numbering import share_commands
 from oee_tabular.continuous.task.base import ContinuousTask, Moves
 from oee_tabular.report import Settings, evaluate_continuous
+from oee_tabular.tasks import ResidualSimulator
 
 
 class Slider(ContinuousTask):
@@ -137,7 +142,7 @@ def test_coarse_levels_are_made_finer():
     log = log_of(target, seed=1)
     commands = {"action": target.actions[log.action], "behavior_probability": None}
     log = oee.ContinuousTransitions(**log.columns() | commands)
-    with pytest.warns(UserWarning, match="moved to the nearest"):
+    with pytest.warns(UserWarning, match="of the log's 600 commands lie between"):
         report = evaluate_continuous(
             Slider(3), log, {"p": brake}, settings=FEW, horizon=20, discount=1.0, seed=0
         )
@@ -146,6 +151,98 @@ def test_coarse_levels_are_made_finer():
     said = " ".join(report.warnings)
     assert "to the task's 3 actions changes its value in the simulator by" in said
     assert "actions are taken" in said
+    assert "moved to the nearest" not in said
+
+
+def recorded(target, n_levels, seed=0):
+    """Record a log of ``target`` with commands of ``n_levels``, as commands."""
+    fine = target.with_actions(np.linspace(-2.0, 2.0, n_levels)[:, None])
+    log = log_of(fine, seed=seed)
+    commands = {"action": fine.actions[log.action], "behavior_probability": None}
+    return oee.ContinuousTransitions(**log.columns() | commands)
+
+
+@pytest.mark.parametrize("levels", [2, 3, 6])
+def test_a_correction_reads_commands_between_actions_as_they_are(levels):
+    """A step that is linear in the command is corrected to rounding by two levels. With
+    each command moved to the nearest level, the moves would count as noise.
+    """
+
+    class Still(Slider):
+        n_disturbances = 0
+
+        def moves(self, states, actions, disturbance):
+            xi = np.zeros((len(states), 1))
+            return super().moves(states, actions, xi)
+
+    log = recorded(Still(shift=0.3), 41)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        corrected = ResidualSimulator(Still(levels), log, seed=0)
+    assert np.abs(corrected.left_over[:, 0]).max() < 1e-9
+    states = np.linspace(-1.0, 1.0, 7)[:, None]
+    for a in range(levels):
+        actions = np.full(7, a)
+        xi = np.zeros((7, corrected.n_disturbances))
+        found = corrected.moves(states, actions, xi).next_state
+        right = Still(levels, shift=0.3).moves(states, actions, None).next_state
+        assert_allclose(found, right, atol=1e-7)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_earlier_commands_between_actions_are_shares_of_them(steps):
+    """The mean of the shares is the command, and a whole action is inside the range."""
+    target = Slider(41, shift=0.3)
+    log = recorded(target, 41)
+    task = HistoryTask(Slider(3), steps)
+    whole = task.log(log)
+    shares = whole.state[:, 1 : 1 + 3]
+    has_last = shares.any(axis=1)
+    assert_allclose(shares[has_last].sum(axis=1), 1.0)
+    before = np.flatnonzero(has_last) - 1
+    assert_allclose(shares[has_last] @ task.actions, log.action[before], atol=1e-12)
+    corrected = ResidualSimulator(task, whole, seed=0)
+    inside = np.array([[0.5, *np.tile([0.0, 1.0, 0.0], steps)]])
+    inside[0, 0] = log.state.mean()
+    assert not corrected.beyond(inside)[0]
+    # the step under an earlier command is the mean of those under its neighbours
+    moved = task.displacements(
+        whole.state, whole.action[:, 0].astype(int) * 0, whole.state
+    )
+    expected = -0.1 * log.state[has_last] + 0.1 * log.action[before]
+    assert_allclose(moved[1][has_last], expected, atol=1e-12)
+
+
+def test_angles_between_actions_are_the_shorter_way():
+    class Wheel(Slider):
+        state_names = feature_names = ("angle",)
+        periodic = (True,)
+        feature_low = np.array([-np.pi])
+        feature_high = np.array([np.pi])
+
+        def moves(self, states, actions, disturbance):
+            after = states + 1.5 * self.actions[actions]
+            after = (after + np.pi) % (2 * np.pi) - np.pi
+            return Moves(after, -after[:, 0], np.zeros(len(states), dtype=bool))
+
+    wheel = Wheel(3)
+    states = np.full((1, 1), 3.0)
+    shares = np.array([[0.0, 0.75, 0.25]])
+    found = blend_steps(wheel, states, np.array([1]), np.array([[3.0]]), shares)
+    # from 3 by 3 is 6 - 2 pi: 3 ahead, of which a quarter
+    assert_allclose(found.next_state, [[0.75]])
+
+
+def test_actions_of_a_log_that_are_the_task_s_change_nothing():
+    """Numbers and the same actions as commands give the same bits."""
+    target = Slider(3, shift=0.3)
+    numbers = log_of(target)
+    columns = numbers.columns() | {"action": target.actions[numbers.action]}
+    commands = oee.ContinuousTransitions(**columns)
+    one, other = (ResidualSimulator(Slider(3), x, seed=0) for x in (numbers, commands))
+    assert_array_equal(one.left_over, other.left_over)
+    assert one.coordinates == other.coordinates
+    assert share_commands(Slider(3), numbers) is None
 
 
 def test_a_policy_of_coarse_actions_is_one_of_finer_ones():

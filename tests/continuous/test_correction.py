@@ -37,11 +37,12 @@ from oee_tabular.continuous.correction.sentences import (
 )
 from oee_tabular.continuous.discretization.model import uniform_policy_of
 from oee_tabular.continuous.evaluation.on_cells import calibrated_row
-from oee_tabular.continuous.evaluation.rollouts import possible_sums, refuse_impossible
+from oee_tabular.continuous.evaluation.rollouts import refuse_impossible
 from oee_tabular.continuous.task.episodes import MonteCarlo, compare_returns
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
 from oee_tabular.lab.experiments import classic
+from oee_tabular.mdp import possible_sums
 from oee_tabular.report import Settings, choose_interval, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,

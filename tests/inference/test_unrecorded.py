@@ -160,3 +160,57 @@ def test_what_is_refused(given, message):
     problem, policy = fork(12, 8)
     with pytest.raises(ValueError, match=f"^{message}"):
         oee.interval(problem, policy, **given)
+
+
+@settings(max_examples=25)
+@given(rngs)
+def test_an_interval_ends_where_no_value_is_possible(rng):
+    """Whatever the factor, its ends and the value are between the sums of the least and
+    of the largest rewards that the policy can take.
+    """
+    simulator = random_mdp(rng)
+    policy = random_policy(rng, simulator)
+    share = np.full((simulator.n_states, simulator.n_actions), 1.0)
+    log = oee.sample_transitions(simulator, share / share.sum(), 3, seed=rng)
+    horizon = None if rng.random() < 0.5 else 4
+    problem = oee.Problem(simulator, log, horizon=horizon)
+    value = oee.estimators.OffEnvironment()(problem, policy).value
+    gamma = simulator.discount
+    n_steps = 1 / (1 - gamma) if horizon is None else np.sum(gamma ** np.arange(4))
+    rewards = simulator.rewards[policy > 0]
+    if simulator.transition_rewards is not None:
+        rewards = simulator.transition_rewards.toarray()[(policy > 0).ravel()]
+        possible = simulator.transitions.toarray()[(policy > 0).ravel()] > 0
+        rewards = rewards[possible]
+    least, most = rewards.min() * n_steps, rewards.max() * n_steps
+    slack = 1e-9 * (1 + abs(least) + abs(most))
+    for factor in FACTORS:
+        found = oee.interval(problem, policy, unrecorded=factor)
+        for lower, upper in ((found.lower, found.upper), found.sampling):
+            assert least - slack <= lower <= upper <= most + slack
+        if factor < np.inf:
+            assert found.lower - slack <= value <= found.upper + slack
+
+
+def test_ends_before_the_cut_are_kept():
+    """One reward of 0 or 1, from two starts, of which one was never recorded: as if it
+    had been recorded once, its normal end is above 1.
+    """
+    rows = np.array([[[0.2, 0, 0.8]], [[0, 0.2, 0.8]], [[0, 0, 1.0]]])
+    arrives = np.zeros((3, 1, 3))
+    arrives[:2, :, 2] = 1.0
+    simulator = oee.FiniteMDP(rows, arrives, [0.5, 0.5, 0], 0.9)
+    zeros = np.zeros(20, int)
+    log = oee.Transitions(zeros, zeros, np.r_[np.full(18, 2), 0, 0])
+    problem = oee.Problem(simulator, log, horizon=1)
+    policy = np.ones((3, 1))
+    value = oee.estimators.OffEnvironment()(problem, policy)
+    found = oee.interval(problem, policy)
+    facts = found.diagnostics
+    assert (facts["lowest_possible"], facts["highest_possible"]) == (0.0, 1.0)
+    assert found.upper == found.sampling[1] == 1.0
+    end = value.value + stats.norm.ppf(0.975) * value.standard_error
+    assert_allclose(facts["uncut_sampling_upper"], end, rtol=1e-12)
+    assert facts["uncut_upper"] > 1.0
+    assert "uncut_lower" not in facts
+    assert value.value in found

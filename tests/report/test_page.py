@@ -441,8 +441,9 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(
     assert typed[:2] == ["oee", "plan"]
     assert typed[typed.index("--transitions") + 1] == "60"
     assert run_command(*typed[1:]) == 0
-    advice = next(line for line in printed.splitlines() if "] Record " in line)
-    advice = advice.partition("] ")[2]
+    lines = printed.splitlines()
+    advice = next(line for line in lines if "narrow the interval, record" in line)
+    advice = advice.removeprefix("- ")
     assert advice in capsys.readouterr().out
     assert advice.replace("'", "&#39;") in text
 

@@ -246,6 +246,12 @@ def test_a_case_without_an_exact_log_says_why():
     ):
         case("ragged").exact_log()
     pair = case("exact")
+    with pytest.raises(
+        ValueError, match=r"^copies must be at most [0-9]+: .* got 10+$"
+    ):
+        pair.exact_log(10**6)
+    with pytest.raises(ValueError, match=r"^pair must .* it has about 10\^[0-9]+ "):
+        dataclasses.replace(pair, steps=10**4).exact_log()
     odd = pair.behavior.copy()
     odd[0] = [1 / 3, 2 / 3]
     odd[1] = [1 / 67, 66 / 67]

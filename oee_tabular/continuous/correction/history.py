@@ -14,7 +14,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import freeze
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.continuous.log.numbering import number_actions
+from oee_tabular.continuous.log.numbering import number_and_share
 from oee_tabular.continuous.log.transitions import (
     CHAIN_TOLERANCE,
     ContinuousTransitions,
@@ -24,6 +24,8 @@ from oee_tabular.continuous.task.base import (
     DerivedTask,
     Moves,
     StatePolicy,
+    find_periods,
+    shortest,
 )
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array, IntArray
@@ -37,7 +39,8 @@ class HistoryTask(DerivedTask):
     """A task whose state includes its last actions.
 
     Each of the last actions has A coordinates: 1 at its number and 0 elsewhere, or 0 in
-    all before an episode. The task's own coordinates, actions, rewards and units stay.
+    all before an episode. A logged command between the task's actions has its shares of
+    them instead, whose mean it is. The task's own coordinates, actions, rewards and units stay.
 
     Parameters
     ----------
@@ -117,7 +120,7 @@ class HistoryTask(DerivedTask):
             If the log has other states than the task, or no episode longer than
             ``steps``.
         """
-        actions = number_actions(self.task, log)
+        actions, shares = number_and_share(self.task, log)
         earlier = earlier_rows(log, self.steps)
         if self.steps and not (earlier[:, -1] >= 0).any():
             hint = ""
@@ -130,12 +133,14 @@ class HistoryTask(DerivedTask):
                 "must be less than the longest episode's transitions; no row of the log"
                 f" has {self.steps} before it{hint}",
             )
-        codes = np.eye(self.n_actions + 1, self.n_actions)  # the last: no action
-        last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
+        if shares is None:
+            shares = np.eye(self.n_actions)[actions]
+        known = np.vstack([shares, np.zeros(self.n_actions)])  # the last: no action
+        last = known[np.where(earlier >= 0, earlier, -1)].reshape(len(log), -1)
         states = np.column_stack([log.state, last])
         columns = {
             "state": states,
-            "next_state": self._append_action(states, actions, log.next_state),
+            "next_state": self._append_action(states, shares, log.next_state),
         }
         return ContinuousTransitions(**(log.columns() | columns))
 
@@ -174,11 +179,13 @@ class HistoryTask(DerivedTask):
         """Return the last actions (n, steps A) in states or in features."""
         return states[:, states.shape[1] - self.steps * self.n_actions :]
 
-    def _append_action(
-        self, states: Array, actions: IntArray, next_states: Array
-    ) -> Array:
-        """Return the task's next states with the actions taken and the earlier ones."""
-        last = np.column_stack([np.eye(self.n_actions)[actions], self._last(states)])
+    def _append_action(self, states: Array, shares: Array, next_states: Array) -> Array:
+        """Return the task's next states with the actions taken and the earlier ones.
+
+        ``shares`` (n, A) has 1 at the action that was taken, or what its command is
+        shared out to.
+        """
+        last = np.column_stack([shares, self._last(states)])
         return np.column_stack([next_states, last[:, : self.steps * self.n_actions]])
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -199,8 +206,9 @@ class HistoryTask(DerivedTask):
             The next states, the rewards, and whether the next states are terminal.
         """
         moved = self.task.moves(self.own(states), actions, disturbance)
+        taken = np.eye(self.n_actions)[actions]
         return replace(
-            moved, next_state=self._append_action(states, actions, moved.next_state)
+            moved, next_state=self._append_action(states, taken, moved.next_state)
         )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
@@ -221,8 +229,9 @@ class HistoryTask(DerivedTask):
             The next states, the rewards, and whether the next states are terminal.
         """
         moved = self.task.step(self.own(states), actions, rng)
+        taken = np.eye(self.n_actions)[actions]
         return replace(
-            moved, next_state=self._append_action(states, actions, moved.next_state)
+            moved, next_state=self._append_action(states, taken, moved.next_state)
         )
 
     def displacements(
@@ -251,7 +260,38 @@ class HistoryTask(DerivedTask):
             past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None]
         )
         earlier = [self.task.noiseless_step(own, b).next_state - own for b in numbers.T]
+        for step, moved in enumerate(earlier):
+            shares = past[:, step]
+            if shares.max(initial=0.0) < 1.0 or ((shares > 0) & (shares < 1)).any():
+                earlier[step] = (
+                    moved
+                    + blend_steps(
+                        self.task, own, numbers[:, step], own + moved, shares
+                    ).next_state
+                )
         return self.task.displacements(own, actions, self.own(next_states)) + earlier
+
+    def reach(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the range of a log's features, with whole actions for shared ones.
+
+        Parameters
+        ----------
+        low : ndarray of shape (k,)
+            The least feature of the log's states.
+        high : ndarray of shape (k,)
+            The largest.
+
+        Returns
+        -------
+        tuple of ndarray
+            The same, but up to 1 where any row has a share of a last action, and from
+            0.
+        """
+        low, high = low.copy(), high.copy()
+        at = len(low) - self.steps * self.n_actions
+        low[at:] = np.where(low[at:] < 1.0, 0.0, 1.0)
+        high[at:] = np.where(high[at:] > 0.0, 1.0, 0.0)
+        return low, high
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Draw the task's initial states, without a last action.
@@ -347,6 +387,52 @@ class HistoryTask(DerivedTask):
             The parameters, with the number of actions under "history".
         """
         return self.task.parameters() | {"history": self.steps}
+
+
+def blend_steps(
+    task: ContinuousTask,
+    states: Array,
+    actions: IntArray,
+    following: Array,
+    shares: Array,
+) -> Moves:
+    """Return by how much steps under shared commands differ from those under actions.
+
+    Parameters
+    ----------
+    task : ContinuousTask
+        The task.
+    states : ndarray of shape (n, d)
+        The states.
+    actions : ndarray of int, shape (n,)
+        The action of each state.
+    following : ndarray of shape (n, d)
+        Where it leads.
+    shares : ndarray of shape (n, A)
+        How the command of each state is shared out; 0 in all leaves the action.
+
+    Returns
+    -------
+    Moves
+        Differences of next states, sum_b shares_b (f(s, b) - f(s, a)), those of angles
+        the shorter way, and of rewards. No row ends.
+    """
+    periods = find_periods(task, following)
+    moved = np.zeros_like(following)
+    paid = np.zeros(len(states))
+    own = None
+    for b in range(task.n_actions):
+        rows = np.flatnonzero((shares[:, b] > 0) & (actions != b))
+        if not len(rows):
+            continue
+        if own is None:
+            own = task.noiseless_step(states, actions).reward
+        there = task.noiseless_step(states[rows], np.full(len(rows), b))
+        share = shares[rows, b]
+        apart = shortest(there.next_state - following[rows], periods)
+        moved[rows] += share[:, None] * apart
+        paid[rows] += share * (there.reward - own[rows])
+    return Moves(moved, paid, np.zeros(len(states), dtype=np.bool_))
 
 
 def check_n_actions(value: int, name: str) -> int:

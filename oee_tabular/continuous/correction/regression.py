@@ -151,6 +151,7 @@ class Functions:
         states: Array,
         actions: IntArray,
         displacement: Array,
+        commands: Array | None,
         rng: np.random.Generator,
     ) -> None:
         self._task = task
@@ -160,7 +161,8 @@ class Functions:
         )
         smooth = task.smooth(states)
         n_commands = self._commands.shape[1]
-        raw = np.column_stack([smooth, self._commands[actions], displacement])
+        given = self._commands[actions] if commands is None else commands
+        raw = np.column_stack([smooth, given, displacement])
         centre = raw.mean(axis=0)
         scale = raw.std(axis=0)
         moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
@@ -204,11 +206,20 @@ class Functions:
             }
         )
 
-    def __call__(self, states: Array, actions: IntArray, displacement: Array) -> Array:
-        """Compute every column, (n, width)."""
-        raw = np.column_stack(
-            [self._task.smooth(states), self._commands[actions], displacement]
-        )[:, self._kept]
+    def __call__(
+        self,
+        states: Array,
+        actions: IntArray,
+        displacement: Array,
+        commands: Array | None = None,
+    ) -> Array:
+        """Compute every column, (n, width).
+
+        ``commands`` (n, k) are those of the rows; None means those of their actions.
+        """
+        given = self._commands[actions] if commands is None else commands
+        raw = np.column_stack([self._task.smooth(states), given, displacement])
+        raw = raw[:, self._kept]
         low, high, centre, slope = self._limits
         z = (np.clip(raw, low, high) - centre) * slope
         one = np.column_stack([np.ones(len(z)), z])
@@ -230,11 +241,21 @@ class Functions:
         displacement: Array,
         w: Array,
         ends: Array,
+        commands: Array | None = None,
     ) -> Array:
         """Compute sums over columns weighted by w (A, columns, k), (n, k).
 
         They are kept within ``ends`` (2, k). The sums are compiled and cost O(n p k).
+        Rows with commands of their own, which only a log has, are not compiled.
         """
+        if commands is not None:
+            found = np.empty((len(states), w.shape[2]))
+            for at in np.array_split(np.arange(len(states)), 1 + len(states) // BLOCK):
+                phi = self(states[at], actions[at], displacement[at], commands[at])
+                for a in np.unique(actions[at]):
+                    rows = actions[at] == a
+                    found[at[rows]] = phi[rows][:, : w.shape[1]] @ w[a]
+            return np.clip(found, *ends)
         q = min(w.shape[1], len(self._first))
         inputs = (self._task.smooth(states), displacement)
         # so that one kernel takes all
@@ -302,22 +323,27 @@ class Grams:
     def __init__(
         self,
         functions: Functions,
-        arguments: tuple[Array, IntArray, Array],
+        arguments: tuple[Array, IntArray, Array, Array | None],
         targets: Array,
         group: IntArray,
         is_used: BoolArray,
     ) -> None:
-        states, actions, displacement = arguments
+        states, actions, displacement, commands = arguments
         n_actions = functions.n_actions
         n_groups = int(group.max()) + 1
         self.nested = functions.nested
+        # what ``choose`` tries, the simplest first: class, whether each action has its
+        # own coefficients, ridge; and their errors (tried, groups, targets)
+        self.ways: list[tuple[str, bool, float]] = []
+        self.held_out = np.empty((0, n_groups, targets.shape[1]))
         self.p = functions.width
         self.k = targets.shape[1]
         self.g = np.zeros((n_groups, n_actions, self.p + self.k, self.p + self.k))
         for number in np.unique((group * n_actions + actions)[is_used]):
             rows = np.flatnonzero(is_used & (group * n_actions + actions == number))
             for at in np.array_split(rows, 1 + len(rows) // BLOCK):
-                phi = functions(states[at], actions[at], displacement[at])
+                own = None if commands is None else commands[at]
+                phi = functions(states[at], actions[at], displacement[at], own)
                 both = np.column_stack([phi, targets[at]])
                 self.g[divmod(number, n_actions)] += both.T @ both
         self.mean_square = self.g.sum(axis=(0, 1)).diagonal() / max(
@@ -386,25 +412,29 @@ class Grams:
             return len(self.nested[name]) * (n_actions if per_action else 1), -ridge
 
         tried.sort(key=complexity)
-        # (tried, groups, targets)
-        every = np.array([errors for _, _, _, errors in tried])
-        fits = []
-        for k in range(self.k):
-            errors = every[:, :, k]
-            whole = self.g[:, :, self.p + k, self.p + k].sum()
-            best, t = _choose_simplest(errors, EQUAL_SHARE * whole)
-            name, per_action, ridge, _ = tried[best]
-            fit = Fit(
-                kind=name,
-                per_action=per_action,
-                ridge=ridge,
-                columns=self.nested[name],
-                coefficients=np.empty(0),  # until ``refit``
-                error=float(errors[best].sum()),
-                t_statistic=t,
-            )
-            fits.append(fit)
-        return self.refit(fits)
+        self.ways = [(name, per_action, ridge) for name, per_action, ridge, _ in tried]
+        self.held_out = np.array([errors for _, _, _, errors in tried])
+        fits = [self._choose_one(k, np.arange(n_groups)) for k in range(self.k)]
+        return self._fit(fits, self.g.sum(axis=0))
+
+    def _choose_one(self, k: int, groups: IntArray) -> Fit:
+        """Choose a class for target ``k`` by its held-out errors on these groups.
+
+        The fit has no coefficients yet.
+        """
+        errors = self.held_out[:, groups, k]
+        whole = self.g[:, :, self.p + k, self.p + k].sum()
+        best, t = _choose_simplest(errors, EQUAL_SHARE * whole)
+        name, per_action, ridge = self.ways[best]
+        return Fit(
+            kind=name,
+            per_action=per_action,
+            ridge=ridge,
+            columns=self.nested[name],
+            coefficients=np.empty(0),
+            error=float(errors[best].sum()),
+            t_statistic=t,
+        )
 
     def held_out_errors(
         self,
@@ -416,7 +446,8 @@ class Grams:
         """Compute sums of squared errors (options, groups, targets) on held-out groups.
 
         Groups are predicted by the fit to the other folds, whose Gram matrices are
-        ``grams``.
+        ``grams``. Where all actions share coefficients, their Gram matrices are summed
+        first.
         """
         errors = np.empty((len(options), len(fold), self.k))
         for f in range(FOLDS):
@@ -425,31 +456,48 @@ class Grams:
             total = g[:, :, self.p :, self.p :].diagonal(axis1=2, axis2=3).sum(axis=1)
             cross = g[:, :, columns, self.p :]
             inner = g[:, :, columns][:, :, :, columns]
+            pooled = cross.sum(axis=1), inner.sum(axis=1)
             for i, (per_action, ridge) in enumerate(options):
                 w = self.solve(grams[f], columns, slice(None), ridge, per_action)
-                error = total - 2.0 * np.einsum("gapk,apk->gk", cross, w, optimize=True)
-                for a in range(len(w)):
-                    error += np.einsum("pk,gpk->gk", w[a], inner[:, a] @ w[a])
+                error = total.copy()
+                if per_action:
+                    for a in range(len(w)):
+                        error += _added_error(w[a], cross[:, a], inner[:, a])
+                else:
+                    error += _added_error(w[0], *pooled)
                 errors[i, inside] = np.maximum(error, 0.0)
         return errors
 
-    def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
-        """Fit the same classes to all groups, or to groups with these weights.
+    def refit(self, weights: Array) -> list[Fit]:
+        """Choose classes and fit them as if groups had been drawn ``weights`` times.
 
-        A bootstrap has such weights.
+        A bootstrap draws groups with replacement. The choice counts the held-out errors
+        of the groups that were drawn, so a choice that hangs on a few groups varies
+        with them. The errors themselves are those of the fits to the whole log.
         """
-        if weights is None:
-            gram = self.g.sum(axis=0)
-        else:
-            gram = np.tensordot(weights, self.g, axes=1)
-        ways = [
-            (fit.columns, slice(k, k + 1), fit.ridge, fit.per_action)
+        groups = np.repeat(np.arange(len(self.g)), weights.astype(np.int64))
+        fits = [self._choose_one(k, groups) for k in range(self.k)]
+        return self._fit(fits, np.tensordot(weights, self.g, axes=1))
+
+    def _fit(self, fits: Sequence[Fit], gram: Array) -> list[Fit]:
+        """Return the fits with the coefficients that a weighted sum over groups gives."""
+        return [
+            replace(
+                fit,
+                coefficients=self.solve(
+                    gram, fit.columns, slice(k, k + 1), fit.ridge, fit.per_action
+                )[:, :, 0],
+            )
             for k, fit in enumerate(fits)
         ]
-        return [
-            replace(fit, coefficients=self.solve(gram, *way)[:, :, 0])
-            for fit, way in zip(fits, ways, strict=True)
-        ]
+
+
+def _added_error(w: Array, cross: Array, inner: Array) -> Array:
+    """Compute w'G_CC w - 2 w'G_Cy of groups and targets, (g, k).
+
+    Coefficients ``w`` are (p, k), ``cross`` G_Cy is (g, p, k), ``inner`` G_CC (g, p, p).
+    """
+    return np.asarray(np.einsum("pk,gpk->gk", w, inner @ w - 2.0 * cross))
 
 
 def episode_groups(

@@ -18,7 +18,7 @@ weighted. Cells, ratios and exact values can come after it, as after any simulat
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +31,7 @@ from oee_tabular.continuous.correction.hidden_state import (
     HistoryEffect,
     history_effects,
 )
+from oee_tabular.continuous.correction.history import HistoryTask, blend_steps
 from oee_tabular.continuous.correction.neighbors import Neighbors
 from oee_tabular.continuous.correction.regression import (
     Fit,
@@ -52,7 +53,7 @@ from oee_tabular.continuous.correction.stops import (
     push_steps,
 )
 from oee_tabular.continuous.correction.units import other_units
-from oee_tabular.continuous.log.numbering import number_actions
+from oee_tabular.continuous.log.numbering import number_and_share
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
@@ -246,9 +247,21 @@ class ResidualSimulator(DerivedTask):
             f"{task.name}, corrected by a log",
         )
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
-        actions = number_actions(task, log)
+        actions, shares = number_and_share(task, log)
         own = task.noiseless_step(log.state, actions)
         self._periods = find_periods(task, own.next_state)
+        # the simulator's steps under the commands that were given, not under the
+        # actions next to them: what these leave would count as a difference
+        self._logged_commands = None
+        step = own
+        if shares is not None:
+            self._logged_commands = shares @ task.actions
+            apart = blend_steps(task, log.state, actions, own.next_state, shares)
+            step = replace(
+                own,
+                next_state=own.next_state + apart.next_state,
+                reward=own.reward + apart.reward,
+            )
         self._start = np.resize(task.feature_low, self.n_state)
         low = self._start - ANGLE_ROUNDING
         high = np.resize(task.feature_high, self.n_state) + ANGLE_ROUNDING
@@ -257,9 +270,11 @@ class ResidualSimulator(DerivedTask):
         self._wraps = (self._periods > 0) & is_inside.all(axis=0)
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
+        if isinstance(task, HistoryTask):
+            self._range = task.reach(*self._range)
         self.units = other_units(task, log, actions, self._periods)
         self._stops = find_stops(
-            log.state, log.next_state, own.next_state, self._periods > 0
+            log.state, log.next_state, step.next_state, self._periods > 0
         )
         self._known_ends = np.concatenate([log.terminated, own.terminated])
         self._known_rewards = np.concatenate(
@@ -272,7 +287,7 @@ class ResidualSimulator(DerivedTask):
             (task.terminated(own.next_state) == own.terminated).all()
         )
         is_free = ~self._stops.is_stopped(log.next_state)
-        is_smooth = self._fit(log, actions, own, is_free, rng)
+        is_smooth = self._fit(log, actions, step, is_free, rng)
         self._scatter = measure_scatter(
             task, log, actions, own, self.left_over, is_free, self._periods, rng
         )
@@ -304,7 +319,8 @@ class ResidualSimulator(DerivedTask):
                 is_alike = own.terminated == log.terminated
                 of_reward = np.where(is_alike, log.reward - own.reward, 0.0)
                 self.residuals = np.column_stack([self.residuals, of_reward])
-        arguments = log.state, actions, self._displacements(log.state, actions, free)
+        displacements = self._displacements(log.state, actions, free)
+        arguments = log.state, actions, displacements, self._logged_commands
         self._functions = Functions(self.task, *arguments, rng)
         self._group = episode_groups(
             log.episode, len(log), self._functions.width, self.n_actions
@@ -318,7 +334,7 @@ class ResidualSimulator(DerivedTask):
                 self._functions, arguments, self.residuals, self._group, is_smooth
             )
             self._set_fits(self._grams.choose())
-            added = self._correction(log.state, actions, free)
+            added = self._correction(log.state, actions, free, self._logged_commands)
             last = is_smooth
             is_smooth = is_free & ~self._is_outlying(self.residuals - added)
             if np.array_equal(is_smooth, last):
@@ -366,13 +382,22 @@ class ResidualSimulator(DerivedTask):
         self._is_zero = not any(len(fit.columns) for fit in fits)
         self._coefficients = self._functions.stack(fits)
 
-    def _correction(self, states: Array, actions: IntArray, free: Array) -> Array:
-        """Compute g(s, a), (n, k), within what was logged."""
+    def _correction(
+        self,
+        states: Array,
+        actions: IntArray,
+        free: Array,
+        commands: Array | None = None,
+    ) -> Array:
+        """Compute g(s, a), (n, k), within what was logged.
+
+        ``commands`` are the rows' own; None means those of their actions.
+        """
         if self._is_zero:
             return np.zeros((len(states), len(self.fits)))
         displacements = self._displacements(states, actions, free)
         return self._functions.predict(
-            states, actions, displacements, self._coefficients, self._limits
+            states, actions, displacements, self._coefficients, self._limits, commands
         )
 
     def _describe(
@@ -440,12 +465,13 @@ class ResidualSimulator(DerivedTask):
         Returns
         -------
         ResidualSimulator
-            The same with g, of the same classes, fitted to groups of whole episodes
-            drawn with replacement.
+            The same with g fitted to groups of whole episodes drawn with replacement.
+            The classes of g are chosen anew, by the held-out errors of the groups that
+            were drawn.
         """
         weights = draw_groups(len(self._grams.g), seed)
         again = copy.copy(self)
-        again._set_fits(self._grams.refit(self.fits, weights))
+        again._set_fits(self._grams.refit(weights))
         again._scatter = self._scatter.reweighted(weights[self._group[self._is_free]])
         return again
 

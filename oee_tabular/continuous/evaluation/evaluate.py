@@ -354,7 +354,7 @@ def _compute(
         fit = fit_parameters(*parameters_of(simulator.task, fit), prepared.log)
     correction = choose_correction(
         simulator.task,
-        prepared.log,
+        prepared.given_log,
         history=request.history,
         fit=fit,
         seed=request.seed,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular.continuous.log.numbering import interpolate_weights
 from oee_tabular.continuous.task.base import (
     BadPolicy,
     ask_policy,
@@ -110,25 +111,4 @@ class CommandPolicy:
                 f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}"
             )
         commands = commands.astype(np.float64)
-        return _interpolate_weights(commands, actions), commands
-
-
-def _interpolate_weights(commands: Array, actions: Array) -> Array:
-    """Compute multilinear weights (n, A) on a product grid of actions.
-
-    Where the actions are no product grid, the nearest has the weight 1.
-    """
-    levels = [np.unique(column) for column in actions.T]
-    shape = tuple(len(each) for each in levels)
-    n_unique = len(np.unique(actions, axis=0))
-    if np.prod(shape) != len(actions) or n_unique != len(actions):
-        distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
-        return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
-    weights = np.ones((len(commands), 1))
-    for column, each in zip(commands.T, levels, strict=True):
-        parts = [np.interp(column, each, one) for one in np.eye(len(each))]
-        own = np.column_stack(parts)
-        weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
-    columns = zip(actions.T, levels, strict=True)
-    place = [np.searchsorted(each, column) for column, each in columns]
-    return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
+        return interpolate_weights(commands, actions), commands

@@ -12,12 +12,17 @@ from oee_tabular import _checks
 from oee_tabular.continuous.evaluation.on_cells import OnCells
 from oee_tabular.continuous.evaluation.policies import as_probabilities
 from oee_tabular.continuous.evaluation.simulator import ContinuousSimulator, Settings
-from oee_tabular.continuous.log.numbering import number_log
+from oee_tabular.continuous.log.numbering import (
+    describe_shares,
+    number_log,
+    share_commands,
+)
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import ContinuousTask, StatePolicy
 from oee_tabular.estimators.rewards import is_rounded
 from oee_tabular.exceptions import (
     ArgumentError,
+    DataWarning,
     DiscretizationWarning,
     NoCellsError,
 )
@@ -35,7 +40,8 @@ class Prepared:
     log : ContinuousTransitions
         The log, with the numbers of the task's actions.
     given_log : ContinuousTransitions
-        The log as it was given.
+        The log as it was given, with commands where it has some. Corrections are made
+        of it.
     settings : Settings
         The settings.
     horizon : int
@@ -95,6 +101,13 @@ def prepare(
         numbered = number_log(
             simulator.task, log, strict=settings.strict, behavior=behavior
         )
+        shares = share_commands(simulator.task, log)
+        if shares is not None:
+            # not that commands are moved, which the correction does not do
+            caught.clear()
+            has_cells = settings.grid is not None
+            message = describe_shares(simulator.task, shares, has_cells=has_cells)
+            _checks.warn(message, DataWarning)
         if settings.grid is not None:
             try:
                 cells = OnCells(simulator, numbered, settings, horizon, discount, seed)

@@ -308,25 +308,6 @@ def corrected_value(
     return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
 
-def possible_sums(
-    lowest: float, highest: float, horizon: int, discount: float, *, ends: bool
-) -> tuple[float, float]:
-    """Return between which ends sum_{t<T} gamma^t r_t lies, by the rewards' own.
-
-    Where episodes may end, rewards are 0 from then on.
-
-    >>> possible_sums(-2.0, -1.0, 3, 1.0, ends=False)
-    (-6.0, -3.0)
-    >>> possible_sums(-2.0, -1.0, 3, 1.0, ends=True)
-    (-6.0, 0.0)
-    """
-    weight = float(np.sum(discount ** np.arange(horizon)))
-    if ends:
-        lowest = min(lowest, 0.0)
-        highest = max(highest, 0.0)
-    return lowest * weight, highest * weight
-
-
 def refuse_impossible(
     estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0
 ) -> Estimate:

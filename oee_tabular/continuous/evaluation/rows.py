@@ -21,13 +21,13 @@ from oee_tabular.continuous.evaluation.command_levels import (
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import (
     Rollouts,
-    possible_sums,
     refuse_impossible,
 )
 from oee_tabular.continuous.evaluation.sampling import sampling_rows
 from oee_tabular.continuous.task.base import ContinuousTask, StatePolicy
 from oee_tabular.continuous.task.episodes import MonteCarlo
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling
+from oee_tabular.mdp import possible_sums
 
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
@@ -174,7 +174,7 @@ def choose_rows(
 
     def target_row(task: ContinuousTask, policy: StatePolicy) -> Estimate:
         """Estimate a value in the true target."""
-        return _describe_simulated(rollouts.value(task, policy))
+        return _describe_simulated(rollouts.value(task, policy), is_from_log=True)
 
     of_simulator = Row(SIMULATOR, simulated_row)
     plain_status = describe_flaw(correction.plain)
@@ -213,11 +213,14 @@ def split_sampling(
     return sampling, finite
 
 
-def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
+def _describe_simulated(
+    mc: MonteCarlo, *, is_headline: bool = False, is_from_log: bool = False
+) -> Estimate:
     """Return a value in the simulator (or the target) itself as an ``Estimate``.
 
-    It is no estimate from the log. ``is_headline`` is for where no correction can be
-    trusted; the rollouts' noise is no interval to speak of then.
+    It is no estimate from the log. The target's is not the simulator's either, so it
+    counts as one from a log. ``is_headline`` is for where no correction can be trusted;
+    the rollouts' noise is no interval to speak of then.
     """
     error = None if is_headline else mc.standard_error
     facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
@@ -226,5 +229,5 @@ def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimat
         error,
         diagnostics=facts,
         is_headline=is_headline,
-        is_from_log=not is_headline,
+        is_from_log=is_from_log,
     )
