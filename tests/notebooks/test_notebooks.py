@@ -2,8 +2,10 @@
 empty folder; nothing of the machine.
 """
 
+import ast
 import base64
 import importlib
+import inspect
 import itertools
 import re
 
@@ -11,7 +13,7 @@ import nbformat
 import numpy as np
 import pytest
 from answers import CASES
-from saved_notebook import NOTEBOOKS, notebook_runner, texts
+from saved_notebook import NOTEBOOKS, checks_of, notebook_runner, number, texts
 from test_pages import run as run_blocks
 
 import oee_tabular as oee
@@ -20,6 +22,12 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 MACHINE = re.compile(
     r"(?i)/(home|root|tmp|work|users|usr|opt|var)/|[a-z]:\\\\|127\.0\.0|\b0x[0-9a-f]{6}"
 )
+# the code of a cell that helps, which a reader may unfold: on the site, and in Jupyter
+FOLDED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
+SLIDES = ("slide", "subslide", "fragment")  # what slides.py puts on slides
+EXERCISES = {"05": "abc", "05b": "de"}
+LEVELS = ("beginner", "intermediate", "advanced")
+MAX_LINES = 30  # of a cell of the long notebooks 08 and 09
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
@@ -78,8 +86,13 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
             "name": "python3",
         },
         "language_info": {"name": "python"},
+        "oee": stored.metadata.oee,
     }
-    assert all(cell.metadata == {} for cell in stored.cells)
+    for cell in stored.cells:
+        marks = dict(cell.metadata)
+        slide = marks.pop("slideshow", {"slide_type": "slide"})
+        assert slide in [{"slide_type": kind} for kind in SLIDES]
+        assert marks in ({}, FOLDED)
     for cell in cells(stored, "code"):
         assert cell.execution_count is None
         streams = [output.get("name") for output in cell.outputs]
@@ -97,10 +110,48 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
 def test_it_opens_with_what_one_will_be_able_to_do_and_how_long_it_takes(stored):
     opening = " ".join(stored.cells[0].source.split())
     assert "After this notebook you can" in opening
-    assert re.search(
-        r"\*\*Time\*\*: \d+ minutes to read(, \d+ with the exercises?)?; \d+ s to run",
+    times = re.search(
+        r"\*\*Time\*\*: (\d+) minutes to read(?:, (\d+) with the exercises?)?; \d+ s to"
+        " run",
         opening,
     )
+    level = stored.metadata.oee.level
+    assert level in LEVELS
+    minutes = int(times[2] or times[1])
+    assert stored.metadata.oee == {"level": level, "minutes": minutes}
+
+
+def test_it_says_where_its_limits_are(stored):
+    text = "\n".join(cell.source for cell in cells(stored, "markdown"))
+    assert re.search(r"limits|Limits|What this cannot do", text)
+
+
+def test_students_read_no_assertions(stored):
+    for cell in cells(stored, "code"):
+        assert "assert" not in cell.source
+
+
+def test_every_check_runs_after_a_cell_and_says_something(path, stored):
+    """What checks/ says of a notebook; tests/saved_notebook.py calls it."""
+    checks = checks_of(path)
+    assert checks
+    assert set(checks) <= {cell.id for cell in cells(stored, "code")}
+    for check in checks.values():
+        body = ast.parse(inspect.getsource(check))
+        called = {
+            node.attr for node in ast.walk(body) if isinstance(node, ast.Attribute)
+        }
+        has_assert = any(isinstance(node, ast.Assert) for node in ast.walk(body))
+        has_assert |= any(name.startswith("assert_") for name in called)
+        assert has_assert or "test_" in inspect.getsource(check)
+
+
+def test_cells_of_the_long_notebooks_are_short(path, stored):
+    if number(path) in ("08", "09"):
+        lengths = {
+            cell.id: cell.source.count("\n") + 1 for cell in cells(stored, "code")
+        }
+        assert max(lengths.values()) <= MAX_LINES, lengths
 
 
 def test_it_uses_public_names(stored):
@@ -139,7 +190,13 @@ def test_it_leaves_the_answers_to_the_reader(path, stored):
         for source in asked
         for name in re.findall(r'check\("(\d\d_\w)", answer\)', source)
     ]
-    assert names == sorted(name for name in CASES if name[:2] == path.stem[:2])
+    # 05b goes on with the letters of 05
+    letters = EXERCISES.get(number(path))
+    assert names == sorted(
+        name
+        for name in CASES
+        if name[:2] == path.stem[:2] and (letters is None or name[3] in letters)
+    )
     solutions = sum(
         cell.source.count("<details>") for cell in cells(stored, "markdown")
     )
