@@ -2,6 +2,8 @@
 
 import numpy as np
 
+import oee_tabular as oee
+
 
 def after_00_10(log):
     assert log.reward.sum() == 0
@@ -27,3 +29,15 @@ def after_00_26(intervals, promised, truth):
     assert (
         intervals["+ 3000 as planned"].width < 0.25 * intervals["+ 3000 random"].width
     )
+
+
+def after_00_26b(data, policy, real, simulator):
+    assert data.startswith("R0lGODlh")  # GIF89a in base 64
+    # the stream that animate_two gives to both robots
+    word = int(np.random.default_rng(1).integers(2**63))
+    arrived, fallen = (
+        oee.sample_episodes(mdp, policy, 1, 30, seed=word) for mdp in (simulator, real)
+    )
+    assert arrived.next_state[-1] == 63
+    assert fallen.next_state[-1] != 63
+    assert real.absorbing()[fallen.next_state[-1]]
