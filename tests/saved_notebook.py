@@ -27,6 +27,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9]*.ipynb"
 # its function after_05_17 runs after the cell 05-17, with the notebook's variables.
 CHECKS = Path(__file__).parent / "notebooks" / "checks"
 SERVE = "--serve"
+WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 @contextlib.contextmanager
@@ -126,7 +127,9 @@ def execute(book, checks):
 
     class Publisher(displaypub.DisplayPublisher):
         def publish(self, data, *_, **__):
-            shown.append(nbformat.v4.new_output("display_data", data=data))
+            # controls are of no use without Python, and have no text
+            if WIDGET not in data:
+                shown.append(nbformat.v4.new_output("display_data", data=data))
 
     class Shell(InteractiveShell):
         displayhook_class = Hook
