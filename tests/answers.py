@@ -4,6 +4,7 @@ held to them.
 
 import math
 
+import gymnasium
 import numpy as np
 from helpers import rows_of
 from scipy import sparse
@@ -43,6 +44,19 @@ def episodes_for_a_tenth():
         floor, oee.tasks.gridworld_policy(10, 0.5), horizon=200
     ).variance
     return int(np.ceil(variance / 0.1**2))
+
+
+def residual_of_speed():
+    """By Gymnasium's own steps."""
+    speeds = []
+    for mass, gravity in ((1.2, 11.0), (1.0, 10.0)):
+        env = gymnasium.make("Pendulum-v1", g=gravity).unwrapped
+        env.reset(seed=0)
+        env.m = mass
+        env.state = np.array([np.pi / 2, 0.0])
+        env.step(np.array([2.0]))
+        speeds.append(env.state[1])
+    return speeds[0] - speeds[1]
 
 
 def months_a_bin():
@@ -393,6 +407,7 @@ CASES = {
     ),
     "10_b": (logs_that_show_it, [25, 100, 20, 5], "standard error"),
     "10_c": (leaving, [[0.2, 0.8257], [0.8257, 0.1], [0.0826, 0.2], 0.8257], "allows"),
+    "11_a": (residual_of_speed, [0.075, 0.125, 0.5, -0.05], "takes a part"),
     "12_a": (months_a_bin, [0.614, 98, 0.398, 2.51], "mean increment"),
     "12_b": (growth_for_half, [2, 16, 0.25, 0.5], "square root"),
     "12_c": (best_bin, [43, 60, 40, 90], "each bin"),

@@ -9,11 +9,13 @@ PYTHONPATH=. python tests/saved_notebook.py 00 05    these
 import base64
 import contextlib
 import importlib
+import inspect
 import io
 import os
 import subprocess
 import sys
 import tempfile
+import traceback
 from pathlib import Path
 
 import matplotlib
@@ -21,7 +23,11 @@ import nbformat
 from PIL import Image
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9]*.ipynb"))
+# Notebook 05 has no assertions that a student reads. They are in checks/after_05.py:
+# its function after_05_17 runs after the cell 05-17, with the notebook's variables.
+CHECKS = Path(__file__).parent / "notebooks" / "checks"
 SERVE = "--serve"
+WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 @contextlib.contextmanager
@@ -55,6 +61,26 @@ def notebook_runner():
         server.stdin.close()
 
 
+def number(path):
+    """A notebook's number, such as 05."""
+    return path.stem.split("_")[0]
+
+
+def checks_of(path):
+    """The functions that check a notebook, by the names of the cells they run after."""
+    file = CHECKS / f"after_{number(path)}.py"
+    if not file.is_file():
+        return {}
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return {
+        name.removeprefix("after_").replace("_", "-"): check
+        for name, check in vars(module).items()
+        if name.startswith("after_")
+    }
+
+
 def serve():
     """Fork for each line of stdin; print how the fork ended."""
     for module in (
@@ -71,13 +97,17 @@ def serve():
         if not (pid := os.fork()):
             os.dup2(2, 1)
             os.chdir(folder)
-            nbformat.write(execute(nbformat.read(path, as_version=4)), result)
+            book = nbformat.read(path, as_version=4)
+            nbformat.write(execute(book, checks_of(Path(path))), result)
             os._exit(0)
         print(os.waitpid(pid, 0)[1], flush=True)
 
 
-def execute(book):
-    """The notebook with its outputs, without times, versions and what goes to stderr."""
+def execute(book, checks):
+    """The notebook with its outputs, without times, versions and what goes to stderr.
+
+    A check that fails ends the process, as a cell that fails does.
+    """
     from IPython.core import displayhook, displaypub
     from IPython.core.interactiveshell import InteractiveShell
     from IPython.utils.capture import capture_output
@@ -97,7 +127,9 @@ def execute(book):
 
     class Publisher(displaypub.DisplayPublisher):
         def publish(self, data, *_, **__):
-            shown.append(nbformat.v4.new_output("display_data", data=data))
+            # controls are of no use without Python, and have no text
+            if WIDGET not in data:
+                shown.append(nbformat.v4.new_output("display_data", data=data))
 
     class Shell(InteractiveShell):
         displayhook_class = Hook
@@ -114,6 +146,8 @@ def execute(book):
             if not result.success:
                 print(captured.stdout, captured.stderr, file=sys.stderr)
                 os._exit(1)
+            if check := checks.get(cell.id):
+                run_check(check, shell.user_ns)
             printed = (
                 [nbformat.v4.new_output("stream", text=captured.stdout)]
                 if captured.stdout
@@ -125,9 +159,22 @@ def execute(book):
                 compress(output.data)
             shown.clear()
     book.metadata = nbformat.from_dict(
-        {"kernelspec": book.metadata.kernelspec, "language_info": {"name": "python"}}
+        {
+            "kernelspec": book.metadata.kernelspec,
+            "language_info": {"name": "python"},
+            "oee": book.metadata.oee,
+        }
     )
     return book
+
+
+def run_check(check, variables):
+    """Call a check with those of the notebook's variables that it names."""
+    try:
+        check(**{name: variables[name] for name in inspect.signature(check).parameters})
+    except Exception:
+        traceback.print_exc()
+        os._exit(1)
 
 
 def compress(data):
@@ -163,6 +210,6 @@ if __name__ == "__main__" and SERVE in sys.argv:
 elif __name__ == "__main__":
     with notebook_runner() as run:
         for path in NOTEBOOKS:
-            if path.name[:2] in sys.argv[1:] or len(sys.argv) == 1:
+            if number(path) in sys.argv[1:] or len(sys.argv) == 1:
                 with tempfile.TemporaryDirectory() as folder:
                     nbformat.write(run(path, folder), path)

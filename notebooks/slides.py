@@ -1,0 +1,306 @@
+"""Eight slide decks, one for each week of the syllabus, from tagged cells of notebooks.
+
+python notebooks/slides.py slides                          all eight, into slides/
+python notebooks/slides.py slides --weeks 3 5              those of two weeks
+python notebooks/slides.py slides --reveal package         with a copy of reveal.js
+
+A cell is on a slide where its metadata have ``"slideshow": {"slide_type": "slide"}``. A
+cell of text gives its headings, formulas, lists and first sentences, a cell of code the
+picture that it draws, or its few lines with what they print. Exercises and solutions
+are never shown. The notebooks are run for pictures of 1920 x 1080 pixels, which takes
+about three minutes; ``--stored`` takes their stored pictures and a few seconds.
+
+Decks are shown by reveal.js 4, which is loaded from a URL unless ``--reveal`` names a
+folder with a copy: ``npm pack reveal.js@4.6.1`` and ``tar xf reveal.js-4.6.1.tgz``
+make the folder ``package``. With a copy the decks need no network.
+"""
+
+import argparse
+import base64
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import nbformat
+
+FOLDER = Path(__file__).parent
+REVEAL_URL = "https://unpkg.com/reveal.js@4.6.1"
+REVEAL_FILES = ("reveal.js", "reveal.css", "theme/white.css", "theme/fonts")
+LIST = re.compile(r"[-*] |\d\. ")
+MAX_GOALS = 6  # on the slide with the title
+MAX_CODE_LINES = 16
+MAX_PRINTED_LINES = 14
+MIN_SENTENCE_LETTERS = 70  # a shorter first sentence takes one more with it
+KINDS = ("slide", "subslide")
+# the titles in a cell of code; a single one is the slide's heading
+TITLE = r'title(?:\(|=)\s*"([^"]+)"'
+# A notebook's figures become slides after each cell, before they are shown.
+BEFORE = f"""
+import re
+import textwrap
+
+from IPython import get_ipython
+from matplotlib._pylab_helpers import Gcf
+from oee_tabular import plots
+
+
+def fit_all(shell=get_ipython(), fill=textwrap.fill, find=re.findall, plots=plots):
+    titles = find({TITLE!r}, shell.user_ns["In"][-1])
+    for manager in Gcf.get_all_fig_managers():
+        figure = manager.canvas.figure
+        with plots.slides():
+            plots.fit_slide(figure)
+        for ax in figure.axes:
+            inches = ax.get_window_extent().width / figure.dpi
+            is_heading = titles == [ax.get_title()]
+            letters = max(int(N_TITLE_LETTERS * inches), 12)
+            ax.set_title("" if is_heading else fill(ax.get_title(), letters))
+
+
+get_ipython().events.register("post_execute", fit_all)
+get_ipython().run_line_magic("matplotlib", "inline")
+get_ipython().run_line_magic(
+    "config", "InlineBackend.print_figure_kwargs = {{'bbox_inches': None}}"
+)
+style = plots.slides()
+style.__enter__()
+""".replace("N_TITLE_LETTERS", "10.0")
+
+
+class Week(NamedTuple):
+    """Hold a line of the syllabus."""
+
+    number: int
+    topic: str
+    notebooks: list[Path]
+    exercises: str
+    assignment: str
+
+
+def read_weeks() -> list[Week]:
+    """Read the table of weeks from the syllabus."""
+    text = (FOLDER / "syllabus.md").read_text(encoding="utf-8")
+    weeks = []
+    for line in re.findall(r"^\| \d \|.*", text, re.MULTILINE):
+        number, topic, _, read, _, exercises, assignment = line.strip("| ").split(" | ")
+        books = [FOLDER / name for name in re.findall(r"\((\w+\.ipynb)\)", read)]
+        assignment = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", assignment)
+        weeks.append(Week(int(number), topic, books, exercises, assignment))
+    return weeks
+
+
+def is_tagged(cell: Any) -> bool:
+    """Return whether a cell is on a slide."""
+    return cell.metadata.get("slideshow", {}).get("slide_type") in KINDS
+
+
+def run_for_slides(book: Any) -> Any:
+    """Run a notebook up to its last slide, with pictures of the shape of a slide."""
+    from nbclient import NotebookClient
+
+    last = max(k for k, cell in enumerate(book.cells) if is_tagged(cell))
+    book.cells = [nbformat.v4.new_code_cell(BEFORE), *book.cells[: last + 1]]
+    quiet = ["--IPKernelApp.log_level=40"]
+    client = NotebookClient(
+        book, timeout=600, kernel_name="python3", extra_arguments=quiet
+    )
+    client.execute()
+    return book
+
+
+# ---- what of a cell is on a slide
+
+
+def split_sentences(paragraph: str) -> list[str]:
+    """Cut a paragraph into sentences."""
+    return re.split(r"(?<=[.!?])\s+(?=[A-Z*`$])", " ".join(paragraph.split()))
+
+
+def first_sentences(paragraph: str, most: int) -> str:
+    """Shorten a paragraph to some sentences, and one more where the first is short."""
+    sentences = split_sentences(paragraph)
+    is_short = len(sentences[0]) < MIN_SENTENCE_LETTERS
+    return " ".join(sentences[: most + is_short])
+
+
+def shorten(block: str, following: str) -> str:
+    """Shorten a list or a paragraph; formulas, tables, code and headings stay whole."""
+    if block.startswith(("$$", "|", "```", "#")):
+        return block
+    if LIST.match(block):
+        items = re.split(r"\n(?=[-*] |\d\. )", block)
+        return "\n".join(first_sentences(item, 1) for item in items)
+    if following.startswith("$$"):  # the sentence that the formula ends
+        return split_sentences(block)[-1]
+    return first_sentences(block, 2)
+
+
+def cut_blocks(text: str) -> Iterator[str]:
+    """Cut a text at empty lines and below headings."""
+    for block in re.split(r"\n\s*\n", text.strip()):
+        first, _, rest = block.partition("\n")
+        if first.startswith("#"):
+            yield re.sub(r"^#+ (\d+\. )?", "## ", first)
+            block = rest
+        if block.strip():
+            yield block.strip()
+
+
+def text_slides(source: str, heading: str) -> list[str]:
+    """Return the slides of a cell of text: one a heading, exercises left out."""
+    source = re.sub(r"<details>.*?</details>", "", source, flags=re.DOTALL)
+    slides = []
+    for part in re.split(r"\n(?=#+ )", source.strip()):
+        if re.match(r"#+ Exercise", part):
+            continue
+        blocks = [block for block in cut_blocks(part) if "**Exercise" not in block]
+        pairs = zip(blocks, [*blocks[1:], ""], strict=True)
+        if blocks and not all(block.startswith("#") for block in blocks):
+            texts = [shorten(*pair) for pair in pairs]
+            has_heading = blocks[0].startswith("#")
+            slides.append("\n\n".join(texts if has_heading else [heading, *texts]))
+    return slides
+
+
+def heading_of(source: str, section: str) -> str:
+    """Return the title in a cell of code as a heading; the section's for several."""
+    titles = re.findall(TITLE, source)
+    return f"## {titles[0][0].upper()}{titles[0][1:]}" if len(titles) == 1 else section
+
+
+def first_lines(text: str, most: int) -> str:
+    """Return a block of code with no more than some lines."""
+    lines = text.rstrip("\n").split("\n")
+    shown = lines[:most] + ["..."] * (len(lines) > most)
+    return "```text\n" + "\n".join(shown) + "\n```"
+
+
+def code_slide(cell: Any, folder: Path, heading: str) -> str:
+    """Return the slide of a cell of code, and write its picture into a folder."""
+    parts = [heading_of(cell.source, heading)]
+    texts = []
+    for output in cell.outputs:
+        data = output.get("data", {})
+        if "image/png" in data:
+            folder.mkdir(exist_ok=True)
+            name = f"{cell.id}.png"
+            (folder / name).write_bytes(base64.b64decode(data["image/png"]))
+            words = re.sub(r"[#$]", "", parts[0]).strip() or "A picture"
+            parts.append(f"![{words}]({folder.name}/{name})")
+        elif data.get("text/html", "").startswith("<img"):
+            parts.append(data["text/html"])
+        else:
+            texts.append(output.get("text") or data.get("text/plain", ""))
+    if len(parts) == 1:  # no picture: the code, if it is short, and what it prints
+        if cell.source.count("\n") < MAX_CODE_LINES:
+            parts.append(f"```python\n{cell.source}\n```")
+        if any(texts):
+            parts.append(first_lines("".join(texts), MAX_PRINTED_LINES))
+    return "\n\n".join(part for part in parts if part)
+
+
+# ---- a deck
+
+
+def opening(week: Week, books: Sequence[Any]) -> str:
+    """Return the slide with the title, and what one can do after the lecture."""
+    first = [book.cells[0].source for book in books]
+    items = [item for text in first for item in re.findall(r"^[-*] .*", text, re.M)]
+    goals = [first_sentences(item, 1).rstrip(",;.") for item in items[:MAX_GOALS]]
+    return "\n\n".join([f"# Week {week.number}: {week.topic}", "\n".join(goals)])
+
+
+def closing(week: Week) -> str:
+    """Return the slide that says what to do at the computer."""
+    names = ", ".join(path.stem.split("_")[0] for path in week.notebooks)
+    return (
+        f"## At the computer\n\n- Notebooks: {names}\n- Exercises: {week.exercises}\n"
+        f"- Assignment: {week.assignment}"
+    )
+
+
+def deck_cells(week: Week, folder: Path, is_stored: bool) -> list[Any]:
+    """Return a deck as cells of text, each with the metadata of its slide."""
+    books = [nbformat.read(path, as_version=4) for path in week.notebooks]
+    texts = [opening(week, books)]
+    for book in books:
+        heading = ""
+        for cell in (book if is_stored else run_for_slides(book)).cells:
+            if is_tagged(cell) and cell.cell_type == "code":
+                texts.append(code_slide(cell, folder, heading))
+            elif is_tagged(cell):
+                texts += text_slides(cell.source, heading)
+            if cell.cell_type == "markdown":
+                found = re.findall(
+                    r"^##+ (?!Exercise)(?:\d+\. )?(.+)$", cell.source, re.M
+                )
+                heading = f"## {found[-1]}" if found else heading
+    marks = {"slideshow": {"slide_type": "slide"}}
+    return [
+        nbformat.v4.new_markdown_cell(text, metadata=marks)
+        for text in [*texts, closing(week)]
+    ]
+
+
+def write_deck(week: Week, output: Path, reveal: str, is_stored: bool) -> Path:
+    """Write the deck of a week, with its pictures beside it."""
+    from nbconvert import SlidesExporter
+
+    cells = deck_cells(week, output / f"week_{week.number}", is_stored)
+    book = nbformat.v4.new_notebook(cells=cells, metadata={"title": week.topic})
+    exporter = SlidesExporter(
+        extra_template_paths=[str(FOLDER)],
+        template_file="slides.html.j2",
+        reveal_url_prefix=reveal,
+        reveal_theme="white",
+        mathjax_url="mathjax/tex-svg.js",
+    )
+    html, _ = exporter.from_notebook_node(book)
+    file = output / f"week_{week.number}.html"
+    file.write_text(html, encoding="utf-8")
+    return file
+
+
+def copy_scripts(reveal: str, output: Path) -> str:
+    """Copy MathJax, and reveal.js from a folder; return where decks find reveal.js."""
+    shutil.copytree(FOLDER / "static/mathjax", output / "mathjax", dirs_exist_ok=True)
+    if "://" in reveal:
+        return reveal
+    for name in REVEAL_FILES:
+        source = Path(reveal) / "dist" / name
+        if not source.exists():
+            raise SystemExit(f"--reveal must be a URL or a folder with dist/{name}")
+        target = output / "reveal.js" / "dist" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, dirs_exist_ok=True)
+        else:
+            shutil.copyfile(source, target)
+    return "reveal.js"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the decks, and print where they are."""
+    weeks = read_weeks()
+    numbers = [week.number for week in weeks]
+    parser = argparse.ArgumentParser(description="Slide decks of the syllabus.")
+    parser.add_argument("output", type=Path, help="a folder, made if it is not there")
+    parser.add_argument(
+        "--weeks", type=int, nargs="+", choices=numbers, default=numbers
+    )
+    parser.add_argument("--reveal", default=REVEAL_URL, help="a URL or a folder")
+    parser.add_argument(
+        "--stored", action="store_true", help="do not run the notebooks"
+    )
+    given = parser.parse_args(arguments)
+    given.output.mkdir(parents=True, exist_ok=True)
+    reveal = copy_scripts(given.reveal, given.output)
+    for week in weeks:
+        if week.number in given.weeks:
+            print(write_deck(week, given.output, reveal, given.stored))
+
+
+if __name__ == "__main__":
+    main()

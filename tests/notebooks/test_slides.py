@@ -1,0 +1,123 @@
+"""The slide decks: one a week, with pictures and without solutions."""
+
+import importlib
+import re
+import struct
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from saved_notebook import NOTEBOOKS
+
+pytest.importorskip("nbconvert")
+
+FOLDER = Path(__file__).parents[2] / "notebooks"
+WEEKS = range(1, 9)
+MIN_SLIDES = 8
+URL = "https://example.org/reveal.js"
+SECTION = re.compile(r"<section.*?</section>", re.DOTALL)
+PICTURE = re.compile(r"""<img alt=(["'])(.+?)\1 src="([^"]+)""")
+
+
+@pytest.fixture(scope="module")
+def slides():
+    """The module that makes the decks."""
+    sys.path.insert(0, str(FOLDER))
+    yield importlib.import_module("slides")
+    sys.path.remove(str(FOLDER))
+    sys.modules.pop("slides", None)
+
+
+@pytest.fixture(scope="module")
+def decks(slides, tmp_path_factory):
+    """The folder of all eight, with the stored pictures."""
+    folder = tmp_path_factory.mktemp("decks") / "new"
+    slides.main([str(folder), "--stored", "--reveal", URL])
+    return folder
+
+
+def size(picture):
+    """Width and height of a PNG, from its header."""
+    data = picture.read_bytes()
+    assert data[:4] == b"\x89PNG"
+    return struct.unpack(">II", data[16:24])
+
+
+def solutions():
+    """What folds out below the exercises, a line each."""
+    texts = [
+        cell.source
+        for path in NOTEBOOKS
+        for cell in nbformat.read(path, as_version=4).cells
+        if cell.cell_type == "markdown"
+    ]
+    found = re.findall(r"<details>.*?</details>", "\n".join(texts), re.DOTALL)
+    lines = [line.strip() for text in found for line in text.split("\n")]
+    return {line for line in lines if len(line) > 25 and "<" not in line}
+
+
+@pytest.mark.parametrize("number", WEEKS)
+def test_a_deck_has_a_title_slides_and_pictures(slides, decks, number):
+    html = (decks / f"week_{number}.html").read_text()
+    week = slides.read_weeks()[number - 1]
+    parts = SECTION.findall(html)
+    assert len(parts) >= MIN_SLIDES
+    assert f"Week {number}: {week.topic}" in parts[0]
+    assert "At the computer" in parts[-1]
+    assert week.exercises in parts[-1]
+    assert all(re.search("<h[12]", part) for part in parts)
+    pictures = PICTURE.findall(html)
+    assert 3 <= len(pictures) == html.count("<img")
+    for source in {source for *_, source in pictures if source[:5] != "data:"}:
+        assert min(size(decks / source)) > 200
+
+
+@pytest.mark.parametrize("number", WEEKS)
+def test_a_deck_shows_no_exercise_and_no_solution(slides, decks, tmp_path, number):
+    week = slides.read_weeks()[number - 1]
+    cells = slides.deck_cells(week, tmp_path / "pictures", True)
+    text = "\n".join(cell.source for cell in cells)
+    lines = solutions()
+    assert len(lines) > 30
+    assert not [line for line in lines if line in text]
+    assert not re.search(r"<details|Solution|check\(|answer = |Exercise [a-e]\b", text)
+
+
+@pytest.mark.parametrize("number", WEEKS)
+def test_a_deck_asks_for_reveal_and_mathjax_alone(decks, number):
+    html = (decks / f"week_{number}.html").read_text()
+    asked = re.findall(r'<(?:script|link)[^>]+(?:src|href)="([^"]+)"', html)
+    assert {source for source in asked if "://" not in source} == {"mathjax/tex-svg.js"}
+    assert all(source.startswith(URL) for source in asked if "://" in source)
+    assert (decks / "mathjax" / "tex-svg.js").is_file()
+
+
+def test_pictures_are_made_anew_in_the_shape_of_a_slide(slides, tmp_path):
+    slides.main([str(tmp_path), "--weeks", "2", "--reveal", URL])
+    pictures = list((tmp_path / "week_2").glob("*.png"))
+    assert len(pictures) >= 5
+    assert {size(picture) for picture in pictures} == {(1920, 1080)}
+
+
+def test_a_copy_of_reveal_goes_beside_the_decks(slides, tmp_path):
+    copy = tmp_path / "package" / "dist"
+    (copy / "theme" / "fonts").mkdir(parents=True)
+    for name in ("reveal.js", "reveal.css", "theme/white.css", "theme/fonts/a.css"):
+        (copy / name).write_text(name)
+    output = tmp_path / "decks"
+    slides.main([str(output), "--weeks", "3", "--stored", "--reveal", str(copy.parent)])
+    html = (output / "week_3.html").read_text()
+    for name in ("reveal.js", "reveal.css", "theme/white.css"):
+        assert f'"reveal.js/dist/{name}"' in html
+        assert (output / "reveal.js" / "dist" / name).read_text() == name
+    assert (output / "reveal.js" / "dist" / "theme" / "fonts" / "a.css").is_file()
+    assert "https://" not in " ".join(re.findall(r'(?:src|href)="([^"]+)"', html))
+
+
+def test_wrong_arguments_are_errors(slides, tmp_path, capsys):
+    with pytest.raises(SystemExit, match=r"--reveal must be a URL or a folder with"):
+        slides.main([str(tmp_path), "--reveal", str(tmp_path / "nothing")])
+    with pytest.raises(SystemExit):
+        slides.main([str(tmp_path), "--weeks", "9"])
+    assert "--weeks: invalid choice: 9" in capsys.readouterr().err
