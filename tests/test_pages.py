@@ -76,7 +76,11 @@ def test_the_guide_prints_what_it_shows(tmp_path, monkeypatch, capsys):
     run(sections("guide")["From a simulator, a log and a policy to a value"], capsys)
 
 
-EXTRAS = {"From PRISM or Storm and back": "umbi", "Use a cluster": "distributed"}
+EXTRAS = {
+    "From PRISM or Storm and back": "umbi",
+    "Check the corrected simulator with PRISM or Storm": "umbi",
+    "Use a cluster": "distributed",
+}
 
 
 @pytest.mark.parametrize("heading", sections("how_to"))
@@ -154,6 +158,23 @@ def test_pages_print_what_they_show(page, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "```text" in PAGES[page]
     run(runnable(page), capsys)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_oracle_finds_what_the_page_says(capsys):
+    """Where the two packages are that the script compares; they are no dependencies."""
+    pytest.importorskip("mdptoolbox")
+    pytest.importorskip("quantecon")
+    section = PAGES["peers"].partition("## An oracle for other packages\n")[2]
+    code, shown = (block for _, block in BLOCK.findall(section))
+    exec(compile(code, "peers", "exec"), {})
+    printed = capsys.readouterr().out.split()
+    # rounding errors differ from machine to machine
+    for word, expected in zip(printed, shown.split(), strict=True):
+        if re.match(r"[\d.]+e-", expected):
+            assert float(word) < 1e-12
+        else:
+            assert word == expected
 
 
 @pytest.mark.filterwarnings("ignore::oee_tabular.exceptions.OeeWarning")
