@@ -6,6 +6,7 @@ import re
 from functools import partial
 from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
 from helpers import dense, random_mdp, random_policy, rngs
@@ -16,16 +17,63 @@ from scipy import sparse
 import oee_tabular as oee
 
 TESTS = Path(__file__).parent
-STATED = (TESTS.parent / "notebooks" / "statements.md").read_text()
-LAWS = re.findall(r"^(\d+)\. .*`([\w/]+\.py)::(\w+)`$", STATED, flags=re.M)
+PAGES = TESTS.parent / "notebooks"
+STATED = (PAGES / "statements.md").read_text()
+LAW = re.compile(
+    r"^(\d+)\. \*\*(.+?)\.\*\* .+\n"
+    r" +Test: \[`([\w/]+\.py)::(\w+)`\]\(\.\./tests/([\w/]+\.py)\)\. Shown: (.+)\.$",
+    flags=re.M,
+)
+LAWS = LAW.findall(STATED)
+
+
+def places(page):
+    """The anchors of a page's or notebook's headings."""
+    text = page.read_text()
+    if page.suffix == ".ipynb":
+        cells = nbformat.reads(text, as_version=4).cells
+        text = "\n".join(c.source for c in cells if c.cell_type == "markdown")
+    heads = re.findall(r"^##? (.+)$", text, flags=re.M)
+    return {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
 def test_every_statement_has_its_test():
-    assert [int(number) for number, _, _ in LAWS] == list(range(1, 45))
-    for number, name, test in LAWS:
+    assert [int(number) for number, *_ in LAWS] == list(range(1, 45))
+    assert len({name for _, name, *_ in LAWS}) == 44
+    for number, _, name, test, link, _ in LAWS:
+        assert link == name
         assert re.search(rf"^def {test}\(", (TESTS / name).read_text(), flags=re.M), (
             number
         )
+
+
+def test_other_tests_that_the_statements_name_exist():
+    named = re.findall(r"\[`([\w/]+\.py)(?:::(\w+))?`\]\(\.\./tests/(.+?)\)", STATED)
+    assert len(named) > 60
+    for name, test, link in named:
+        assert link == name
+        text = (TESTS / name).read_text()
+        assert not test or re.search(rf"^def {test}\(", text, flags=re.M), test
+
+
+def test_every_statement_is_shown_where_it_says():
+    section = STATED.partition("\n## Laws in a few lines\n")[2].partition("\n## ")[0]
+    printed = " ".join(re.findall(r"^```text\n(.*?)^```", section, re.S | re.M))
+    lines = {
+        int(number)
+        for start in re.findall(r"(?:^|\n| )(\d+(?:, \d+)*) [a-zA-Z]", printed)
+        for number in start.split(", ")
+    }
+    for number, *_, shown in LAWS:
+        links = re.findall(r"\]\(([\w/.]*)(?:#([\w-]+))?\)", shown)
+        assert links, number
+        for page, anchor in links:
+            if not page:
+                assert anchor == "laws-in-a-few-lines"
+                assert int(number) in lines, number
+                continue
+            assert (PAGES / page).is_file(), page
+            assert not anchor or anchor in places(PAGES / page), (page, anchor)
 
 
 def pair(rng, **options):

@@ -4,6 +4,7 @@ They are as the saved results have them, to the digit; these hold today's smoke 
 (test_experiments).
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,17 @@ import oee_tabular as oee
 from oee_tabular.lab.experiments.common import grids, published_at
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+
+
+def plain(text):
+    """Return a page's text in one line, its formulas as one would type them."""
+    for formula, typed in ((r"\pm", "+-"), (r"\mathrm", ""), (r"\cdot ", "")):
+        text = text.replace(formula, typed)
+    return " ".join(re.sub(r"[$\\{}]", "", text).split())
+
+
 PAGES = " ".join(
-    " ".join((NOTEBOOKS / f"{page}.md").read_text().split())
+    plain((NOTEBOOKS / f"{page}.md").read_text())
     for page in ("promises", "paper", "guide")
 )
 LIKELIHOOD = "maximum likelihood"

@@ -272,7 +272,8 @@ def test_an_action_that_no_state_has_changes_no_estimate_and_no_report(model, da
     reports = [oee.evaluate(problem, pi, seed=0) for problem, pi in pairs]
     for one, other in zip(*(r.table.to_dict("records") for r in reports), strict=True):
         for column in ("value", "lower", "upper", "standard_error"):
-            assert_allclose(other[column], one[column], rtol=1e-6, atol=1e-6)
+            # the strengths of the prior are found to about 1e-6
+            assert_allclose(other[column], one[column], rtol=1e-5, atol=1e-5)
     estimators = [
         oee.estimators.ModelBased(fallback="stay"),
         oee.estimators.ModelBased(fallback="simulator"),

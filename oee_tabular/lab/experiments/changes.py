@@ -423,12 +423,13 @@ def finding(table: pd.DataFrame) -> str:
     requires=("mujoco",),
 )
 def changes(settings: Cell, stream: Stream) -> list[Row]:
-    """A log of n transitions by 30% random actions (Reacher: half); errors are means
-    over policies of |value - truth|, values and truths by rollouts that share their
-    random numbers; noise: the standard error of what is left. Two policies, 200 steps
-    (CartPole: six, 100; Acrobot: 500; Reacher: five). grid: zeta on 32 x 32 to 41 x 41
-    vertices, for the first log; calibrated: times the simulator's rollouts / its value
-    on the grid. hidden: share of the logs whose state is said not to be Markov.
+    """Correct a simulator by a log of n transitions with 30% random actions (Reacher:
+    half). Errors are means over policies of |value - truth|, values and truths by
+    rollouts that share their random numbers; noise: the standard error of what is left.
+    Two policies, 200 steps (CartPole: six, 100; Acrobot: 500; Reacher: five). grid:
+    zeta on 32 x 32 to 41 x 41 vertices, for the first log; calibrated: times the
+    simulator's rollouts / its value on the grid. hidden: share of the logs whose state
+    is said not to be Markov.
     """
     name, n = LOGS[str(settings["case"])]
     case = CASES[name]
@@ -536,11 +537,12 @@ def find_coverage(table: pd.DataFrame) -> str:
     finding=find_coverage,
 )
 def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
-    """Logs of 20 000 transitions, a policy each; sums of rewards. covered: share of the
-    logs whose 95% interval (10 refits by 200 episodes, the value by 1000) covers the
-    truth of 400 000 rollouts. covered_paired: the same without the rollouts' noise, by
-    rollouts that share their random numbers with the target's: |error| within Student's
-    t times the standard error.
+    """Count how often intervals cover, in logs of 20 000 transitions with a policy
+    each; values are sums of rewards. covered: share of the logs whose 95% interval (10
+    refits by 200 episodes, the value by 1000) covers the truth of 400 000 rollouts.
+    covered_paired: the same without the rollouts' noise, by rollouts that share their
+    random numbers with the target's: |error| within Student's t times the standard
+    error.
     """
     name = str(settings["case"])
     case, there = returns_of_target(name)

@@ -317,13 +317,13 @@ def paper_value(name: str) -> float:
     paper=published_value,
 )
 def table1(settings: Cell, stream: Stream) -> list[Row]:
-    """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the
-    same MuJoCo arm perturbed. Means of sum_t 0.99^t (-|x_t - goal|) in m over 5 goals,
-    T = 25, 10 runs to each goal, recorded with a share delta of random commands.
-    removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied
-    over displacements, against a defensive simulator (10% of it displacements times 0.5
-    and 1.5, a change of the paper's fixed simulator; the plain one beside it);
-    calibrated: plus the simulator's difference between 250 runs and the grid.
+    """Evaluate a SIMULATED STAND-IN: no data of the paper's robot was published, so the
+    target is the same MuJoCo arm perturbed. Means of sum_t 0.99^t (-|x_t - goal|) in m
+    over 5 goals, T = 25, 10 runs to each goal, recorded with a share delta of random
+    commands. removed: share of the simulator's error (of 250 runs) that is gone. zeta
+    is tied over displacements, against a defensive simulator (10% of it displacements
+    times 0.5 and 1.5, a change of the paper's fixed simulator; the plain one beside
+    it); calibrated: plus the simulator's difference between 250 runs and the grid.
     uncovered: share of the log's transitions without support, left_out: of states
     outside the grid. residual: the simulated arm corrected by what the log's steps
     leave over its own, 250 runs. The paper's column has the real arm's numbers.

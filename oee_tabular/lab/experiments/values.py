@@ -212,8 +212,8 @@ def drop_truth(table: pd.DataFrame) -> pd.DataFrame:
     ),
 )
 def estimands(settings: Cell, stream: Stream) -> list[Row]:
-    """What is estimated, with the exact zeta and no estimation error at all. The
-    published code's true curve has rewards r(s_t+1), its OEE r(s_t), and its oracle
+    """Compare what is estimated, with the exact zeta and no estimation error at all.
+    The published code's true curve has rewards r(s_t+1), its OEE r(s_t), and its oracle
     r(s_t+1) with a weight that lacks the last step, self-normalised over 100 rollouts.
     That OEE beats the oracle there is no merit of an estimate.
     """
