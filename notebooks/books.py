@@ -87,7 +87,9 @@ def minutes_of(book: Any) -> int:
     codes = [cell.source for cell in book.cells if cell.cell_type == "code"]
     minutes = sum(len(text.split()) for text in texts) / WORDS_A_MINUTE
     minutes += sum(len(code.splitlines()) for code in codes) / LINES_OF_CODE_A_MINUTE
-    exercises = sum(len(re.findall(r"^(?:#+ |\*\*)Exercise", text, re.M)) for text in texts)
+    exercises = sum(
+        len(re.findall(r"^(?:#+ |\*\*)Exercise", text, re.M)) for text in texts
+    )
     minutes += exercises * MINUTES_OF_AN_EXERCISE
     return max(5, 5 * math.ceil(minutes / 5))
 

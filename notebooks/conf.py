@@ -73,6 +73,7 @@ html_css_files = ["site.css"]
 html_js_files = ["site.js"]
 myst_heading_anchors = 2
 templates_path = ["templates"]
+html_favicon = "static/icon.svg"
 html_theme = "pydata_sphinx_theme"
 html_title = "oee_tabular"
 html_show_sourcelink = False

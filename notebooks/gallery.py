@@ -92,4 +92,3 @@ def fill(text: str) -> str:
     """Return the gallery's page with its cards in place of two comments."""
     filled = text.replace("<!-- cards of notebooks -->", notebook_cards())
     return filled.replace("<!-- cards of results -->", result_cards())
-

@@ -17,7 +17,7 @@
     hint.hidden = !isWide;
     if (isWide) {
       box.tabIndex = 0;
-      box.setAttribute("role", "region");
+      box.setAttribute("role", "group"); // no landmark: a page has many
       box.setAttribute("aria-label", "Table, scrolls sideways");
     } else {
       for (const name of ["tabindex", "role", "aria-label"]) box.removeAttribute(name);

@@ -35,7 +35,10 @@ def install(target):
         seconds = time.perf_counter() - start
         size = megabytes(Path(folder)) - before
         listed = subprocess.run(
-            [*pip, "list", "--format=freeze"], check=True, capture_output=True, text=True
+            [*pip, "list", "--format=freeze"],
+            check=True,
+            capture_output=True,
+            text=True,
         )
         names = [line.partition("==")[0] for line in listed.stdout.splitlines()]
         own = {"pip", "setuptools", "oee-tabular", "oee_tabular"}
