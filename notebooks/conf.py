@@ -128,6 +128,11 @@ def fill_gallery(app, page, source):
         source[0] = gallery.fill(source[0])
 
 
+def read_again(app, env, added, changed, removed):
+    """Name the pages that are read each time: cards follow the notebooks' pictures."""
+    return ["gallery"]
+
+
 def add_facts(app, page, template, context, doctree):
     """Put level, minutes and files of a notebook below its title."""
     if page in app.env.found_docs and "body" in context:
@@ -317,6 +322,7 @@ def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
     app.connect("builder-inited", start_example)
+    app.connect("env-get-outdated", read_again)
     app.connect("source-read", fill_gallery)
     app.connect("doctree-read", drawings.put_into_page)
     app.connect("autodoc-process-signature", hide_private_parameters)

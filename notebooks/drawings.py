@@ -22,7 +22,9 @@ def drawing_of(folder: Path, address: str) -> str | None:
 def put_into_page(app, doctree) -> None:
     """Put drawings in place of the pictures for which there are any."""
     for picture in list(doctree.findall(nodes.image)):
-        svg = drawing_of(Path(app.srcdir), picture["uri"])
+        address = picture["uri"]
+        svg = drawing_of(Path(app.srcdir), address)
         if svg is not None:
+            app.env.note_dependency(str(Path(address).with_suffix(".svg")))
             box = f'<div class="drawing">{svg}</div>'
             picture.replace_self(nodes.raw("", box, format="html"))
