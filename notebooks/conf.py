@@ -135,7 +135,7 @@ def read_again(app, env, added, changed, removed):
 
 def add_facts(app, page, template, context, doctree):
     """Put level, minutes and files of a notebook below its title."""
-    if page in app.env.found_docs and "body" in context:
+    if page in app.env.found_docs:
         root = "../" * page.count("/")
         body = context["body"]
         context["body"] = body.replace("</h1>", f"</h1>\n{books.facts(page, root)}", 1)
@@ -174,15 +174,18 @@ def finish_site(app, error):
             books.write_files(page, Path(app.outdir))
 
 
-def nest_modules(app, page, template, context, doctree):
-    """Sphinx's list of sources has lists between its items; they belong to the item
-    before.
+def mend_lists(app, page, template, context, doctree):
+    """Make lists what readers of screens take for lists.
+
+    Sphinx's list of sources has lists between its items; they belong to the item
+    before. The entries of docutils' lists of references have a role of books.
     """
+    body = context.get("body", "")
     if page == "_modules/index":
-        body = context["body"].replace("</li>\n<ul>", "\n<ul>")
-        context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace(
-            "</ul></ul>", "</ul></li></ul>"
-        )
+        body = body.replace("</li>\n<ul>", "\n<ul>")
+        body = body.replace("</ul><li>", "</ul></li>\n<li>")
+        body = body.replace("</ul></ul>", "</ul></li></ul>")
+    context["body"] = body.replace('role="doc-biblioentry"', 'role="listitem"')
 
 
 def write_api(app):
@@ -327,7 +330,7 @@ def setup(app):
     app.connect("doctree-read", drawings.put_into_page)
     app.connect("autodoc-process-signature", hide_private_parameters)
     app.connect("doctree-read", describe_pictures)
-    app.connect("html-page-context", nest_modules)
+    app.connect("html-page-context", mend_lists)
     app.connect("html-page-context", add_facts)
     app.connect("html-page-context", add_menu)
     app.connect("build-finished", finish_site)
