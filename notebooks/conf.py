@@ -2,17 +2,25 @@
 commands and public names.
 
 python -m sphinx -W notebooks build/site
+
+OEE_SITE_NETWORK=1 says that there is a network: names of other packages in docstrings
+become links to their sites. Without it nothing is asked for.
 """
 
 import importlib
 import inspect
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+import books
 import dependencies
+import drawings
+import gallery
+import menu
 import subjects
 from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
@@ -30,15 +38,42 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx.ext.mathjax",
     "myst_nb",
+    "sphinx_copybutton",
+    "sphinx_design",
 ]
+if os.environ.get("OEE_SITE_NETWORK"):
+    extensions.append("sphinx.ext.intersphinx")
+intersphinx_mapping = {
+    "python": ("https://docs.python.org/3", None),
+    "numpy": ("https://numpy.org/doc/stable", None),
+    "scipy": ("https://docs.scipy.org/doc/scipy", None),
+    "pandas": ("https://pandas.pydata.org/docs", None),
+    "matplotlib": ("https://matplotlib.org/stable", None),
+    "gymnasium": ("https://gymnasium.farama.org", None),
+}
 root_doc = "index"
-exclude_patterns = ["results", "site", "assignments/source"]
+exclude_patterns = [
+    "site",
+    "assignments/source",
+    # the gallery has what the list of results has, and the benchmark's page the leagues
+    "results/index.md",
+    "results/*/league.md",
+]
 html_static_path = ["site.css", "static"]
-myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+# what is copied has no prompts; outputs have no button
+copybutton_selector = (
+    "div:not(.output, .highlight-text, .highlight-none) > div.highlight > pre"
+)
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
 # MathJax 3.2.2, which is part of the site: no page needs a network
 mathjax_path = "mathjax/tex-svg.js"
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 myst_heading_anchors = 2
+templates_path = ["templates"]
+html_favicon = "static/icon.svg"
 html_theme = "pydata_sphinx_theme"
 html_title = "oee_tabular"
 html_show_sourcelink = False
@@ -46,12 +81,14 @@ html_sidebars = {
     "*": [],
     "api/commands": [],
     "api/dependencies": [],
-}  # pages that have none below them: the room is the code's
+    "assignments/**": [],
+    "results/**": [],
+}  # the menu has these pages: the room is the code's, and the tables'
 html_context = {"default_mode": "auto"}
 html_theme_options = {
     "show_prev_next": True,
-    "navigation_depth": 2,
-    "header_links_before_dropdown": 5,
+    "navigation_depth": 3,
+    "navbar_center": ["groups"],
 }
 nb_execution_mode = "off"  # python tests/saved_notebook.py stores the outputs
 nb_merge_streams = True
@@ -80,22 +117,75 @@ def describe_pictures(app, doctree):
             cell = cell.parent
         if cell:
             code = next(cell.findall(nodes.literal_block)).astext()
-            titles = re.findall(r'title(?:\(|=)\s*"([^"]+)"', code)
             picture["alt"] = (
-                "; ".join(titles).replace("$", "")
-                or "The picture that the code above draws"
+                books.picture_title(code) or "The picture that the code above draws"
             )
 
 
-def nest_modules(app, page, template, context, doctree):
-    """Sphinx's list of sources has lists between its items; they belong to the item
-    before.
+def fill_gallery(app, page, source):
+    """Put the cards into the gallery's page."""
+    if page == "gallery":
+        source[0] = gallery.fill(source[0])
+
+
+def read_again(app, env, added, changed, removed):
+    """Name the pages that are read each time: cards follow the notebooks' pictures."""
+    return ["gallery"]
+
+
+def add_facts(app, page, template, context, doctree):
+    """Put level, minutes and files of a notebook below its title."""
+    if page in app.env.found_docs:
+        root = "../" * page.count("/")
+        body = context["body"]
+        context["body"] = body.replace("</h1>", f"</h1>\n{books.facts(page, root)}", 1)
+
+
+def add_menu(app, page, template, context, doctree):
+    """Give a page the menu, in which its own group is marked."""
+    context["menu"] = menu.menu(page, app.env.toctree_includes)
+
+
+# The home page shows the page that this command writes.
+EXAMPLE = "example_report.html"  # oee evaluate --report
+
+
+def start_example(app):
+    """Start the command of the home page, which works while the pages are read."""
+    folder = Path(app.outdir)
+    folder.mkdir(parents=True, exist_ok=True)
+    page = (folder / EXAMPLE).resolve()
+    page.unlink(missing_ok=True)
+    app.example = subprocess.Popen(
+        [sys.executable, "-m", "oee_tabular", "evaluate", "--report", str(page)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish_site(app, error):
+    """Wait for the example, and write the files that can be downloaded."""
+    _, said = app.example.communicate()
+    if error is None and app.example.returncode:
+        raise RuntimeError(f"oee evaluate --report {EXAMPLE} failed: {said}")
+    if error is None:
+        for page in app.env.found_docs:
+            books.write_files(page, Path(app.outdir))
+
+
+def mend_lists(app, page, template, context, doctree):
+    """Make lists what readers of screens take for lists.
+
+    Sphinx's list of sources has lists between its items; they belong to the item
+    before. The entries of docutils' lists of references have a role of books.
     """
+    body = context.get("body", "")
     if page == "_modules/index":
-        body = context["body"].replace("</li>\n<ul>", "\n<ul>")
-        context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace(
-            "</ul></ul>", "</ul></li></ul>"
-        )
+        body = body.replace("</li>\n<ul>", "\n<ul>")
+        body = body.replace("</ul><li>", "</ul></li>\n<li>")
+        body = body.replace("</ul></ul>", "</ul></li></ul>")
+    context["body"] = body.replace('role="doc-biblioentry"', 'role="listitem"')
 
 
 def write_api(app):
@@ -234,7 +324,14 @@ def write(page, content):
 def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
+    app.connect("builder-inited", start_example)
+    app.connect("env-get-outdated", read_again)
+    app.connect("source-read", fill_gallery)
+    app.connect("doctree-read", drawings.put_into_page)
     app.connect("autodoc-process-signature", hide_private_parameters)
     app.connect("doctree-read", describe_pictures)
-    app.connect("html-page-context", nest_modules)
+    app.connect("html-page-context", mend_lists)
+    app.connect("html-page-context", add_facts)
+    app.connect("html-page-context", add_menu)
+    app.connect("build-finished", finish_site)
     app.add_js_file(None, body=SILENT)

@@ -3,18 +3,22 @@ Chromium at two widths.
 """
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import re
 import subprocess
 import sys
+import threading
 from html import unescape
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from posixpath import dirname, join, normpath
 
 import nbformat
 import pytest
 from browsing import axe, browser, opened, violations  # noqa: F401, fixtures
+from helpers import run_command
 from saved_notebook import NOTEBOOKS
 
 ROOT = Path(__file__).parents[1]
@@ -33,14 +37,21 @@ WIDE_CODE = """() => [...document.querySelectorAll("pre")]
 OUTSIDE = """() => [...document.querySelectorAll("main p, main li, main dt, main h1, main h2, main img, main pre")]
     .filter(e => e.getClientRects().length && !e.closest("table, .pst-scrollable-table-container, .bd-sidebar-secondary"))
     .filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
+# pages that differ in what they are made of; axe looks at them at both widths
 KINDS = (
     "index.html",
+    "install.html",
+    "gallery.html",
     "syllabus.html",
     "playground.html",
+    "example_report.html",
     "00_will_my_policy_work.html",
     "04_why_products_explode.html",
     "api/mdp.html",
+    "results/fig1a/summary.html",
 )
+# what Sphinx or the command makes: no page of the site's own
+MADE = ("search.html", "genindex.html", "py-modindex.html", "example_report.html")
 EMPTY_PICTURES = (
     "() => [...document.images].filter(e => e.complete && !e.naturalWidth).map(e =>"
     " e.src)"
@@ -65,6 +76,12 @@ def site(tmp_path_factory):
         for name, path in pages.items()
         if not name.startswith(("_modules", "_static"))
     }
+
+
+def forget_modules_of_the_site():
+    """Leave no module behind whose name another may have."""
+    for path in (ROOT / "notebooks").glob("*.py"):
+        sys.modules.pop(path.stem, None)
 
 
 def count(book):
@@ -95,7 +112,7 @@ def test_no_page_shows_a_dollar_or_lacks_its_notebooks_link(site):
     for name, path in site.items():
         html = path.read_text()
         assert "$" not in SHOWN_AS_IT_IS.sub("", html), name
-        if name not in ("search.html", "genindex.html", "py-modindex.html"):
+        if name not in MADE:
             assert re.search(
                 r'class="nav-link[^>]*href="[./]*(syllabus.html|#)"', html
             ), name
@@ -155,16 +172,51 @@ def test_every_link_to_a_place_on_a_page_leads_there(site):
     assert checked > 1000
 
 
-def test_the_menu_stays_in_the_window(site, browser):  # noqa: F811
-    """What "More" folds out in the head of a page, at the usual width of a laptop."""
+def test_the_four_menus_stay_in_the_window(site, browser):  # noqa: F811
+    """What a group folds out in the head of a page, at the usual width of a laptop."""
     page, _, _ = opened(browser, site["index.html"].as_uri(), 1280, "light")
     page.set_viewport_size({"width": 1280, "height": 720})
     header = page.locator("header").first.bounding_box()
     assert header["height"] < 90  # in one line
-    page.locator("header .dropdown-toggle", has_text="More").first.click()
-    menu = page.locator("header .dropdown-menu.show").first.bounding_box()
-    assert menu["y"] + menu["height"] <= 720
+    groups = page.locator("header .navbar-nav .dropdown-toggle")
+    assert groups.all_inner_texts() == ["Learn", "Use", "Reference", "About"]
+    for group in groups.all():
+        group.click()
+        menu = page.locator("header .dropdown-menu.show")
+        assert menu.count() == 1
+        box = menu.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 1280
+        assert box["y"] + box["height"] <= 720
     page.context.close()
+
+
+def test_the_menu_is_folded_out_on_a_small_screen(site, browser):  # noqa: F811
+    page, _, _ = opened(browser, site["guide.html"].as_uri(), 400, "light")
+    page.locator("button.primary-toggle").first.click()
+    links = page.locator("#pst-primary-sidebar-modal .dropdown-menu a")
+    assert links.count() > 25
+    assert all(link.is_visible() for link in links.all())
+    for link in links.all():
+        box = link.bounding_box()
+        assert box["x"] + box["width"] <= 400
+    page.context.close()
+
+
+def test_the_menu_has_every_page_that_stands_alone(site, monkeypatch):
+    """A page below none of another's is in the menu, in one group."""
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    groups = importlib.import_module("menu").GROUPS
+    sys.modules.pop("menu")
+    pages = [page for group in groups.values() for page in group.values()]
+    assert len(pages) == len(set(pages))
+    assert all(f"{page}.html" in site for page in [*pages, *groups])
+    text = (ROOT / "notebooks" / "development.md").read_text()
+    below = re.findall(r"^- \[.*?\]\((\w+)\.md\)", text, re.M)
+    alone = {path.stem for path in (ROOT / "notebooks").glob("*.md")}
+    assert alone == {page for page in [*pages, *below, *groups] if "/" not in page} | {
+        "index"
+    }
 
 
 def test_no_page_has_an_empty_sidebar(site):
@@ -177,6 +229,151 @@ def test_no_page_has_an_empty_sidebar(site):
             continue
         links = re.findall(r'class="reference internal', sidebar[0])
         assert links, name
+
+
+# ---- what the site has beside its pages: the report, files, pictures, buttons, a search
+
+
+def test_the_example_report_is_what_the_command_writes(site, tmp_path):
+    assert run_command("evaluate", "--report", str(tmp_path / "page.html")) == 0
+    written = (tmp_path / "page.html").read_text()
+    shown = site["example_report.html"].read_text()
+    days = re.compile(r"\b20\d\d-\d\d-\d\d\b")  # the site may be of yesterday
+    assert days.sub("", shown) == days.sub("", written)
+    home = site["index.html"].read_text()
+    assert re.search(r'<iframe[^>]*src="example_report.html"[^>]*title="[^"]+"', home)
+    assert '<a href="example_report.html">' in home
+
+
+def test_every_notebook_can_be_downloaded(site):
+    folder = site["index.html"].parent
+    assignments = sorted((ROOT / "notebooks/assignments/release").rglob("*.ipynb"))
+    assert len(assignments) == 8
+    for source in [*NOTEBOOKS, *assignments]:
+        name = source.relative_to(ROOT / "notebooks").with_suffix(".html").as_posix()
+        links = re.findall(r'<a href="([^"]+)" download>', site[name].read_text())
+        files = [normpath(join(dirname(name), link)) for link in links]
+        assert f"downloads/{source.name}" == files[0]
+        assert (folder / files[0]).read_bytes() == source.read_bytes()
+        if source in NOTEBOOKS:
+            script = (folder / files[1]).read_text()
+            compile(script, files[1], "exec")
+            book = nbformat.read(source, as_version=4)
+            cells = sum(cell.cell_type in ("code", "markdown") for cell in book.cells)
+            assert len(re.findall(r"^# %%", script, re.M)) == cells
+            assert re.search(
+                r'notebook-facts">(Beginner|Intermediate|Advanced) · about \d+ minutes',
+                site[name].read_text(),
+            )
+
+
+def test_the_gallery_has_every_picture_and_every_result(site):
+    html = site["gallery.html"].read_text()
+    cards = re.findall(r'<div class="sd-card .*?</a>\s*</div>', html, re.S)
+    pictures = sum(count(nbformat.read(path, as_version=4))[1] for path in NOTEBOOKS)
+    results = sorted((ROOT / "notebooks" / "results").glob("*/figure.png"))
+    assert len(cards) == pictures + len(results)
+    for card in cards:
+        assert re.search(r'<img alt="[^"]{10,}"', card), card
+        assert re.search(r'href="[\w/]+\.html"', card), card
+    for path in results:
+        assert f'href="results/{path.parent.name}/summary.html"' in html
+
+
+def test_wide_tables_scroll_and_say_so(site, browser):  # noqa: F811
+    page, _, _ = opened(browser, site["speed.html"].as_uri(), 400, "light")
+    box = page.locator(".pst-scrollable-table-container").first
+    hint = page.locator(".scroll-hint").first
+    hint.wait_for(state="visible")
+    assert "sideways" in hint.inner_text()
+    assert box.get_attribute("tabindex") == "0"
+    box.focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function(
+        "document.querySelector('.pst-scrollable-table-container').scrollLeft > 0"
+    )
+    page.set_viewport_size({"width": 1600, "height": 900})
+    hint.wait_for(state="hidden")
+    page.context.close()
+
+
+def test_drawings_take_the_page_s_colours(site, browser):  # noqa: F811
+    """Words of the drawings of the home page are dark on light and light on dark."""
+    inks = """() => [...document.querySelectorAll(".drawing svg text")]
+        .map(e => getComputedStyle(e).fill.match(/\\d+/g).slice(0, 3)
+        .reduce((sum, part) => sum + Number(part), 0) / 3)"""
+    for scheme, is_right in (
+        ("light", lambda ink: ink < 128),
+        ("dark", lambda ink: ink > 128),
+    ):
+        page, _, _ = opened(browser, site["index.html"].as_uri(), 1280, scheme)
+        found = page.evaluate(inks)
+        assert len(found) > 20
+        assert all(is_right(ink) for ink in found), scheme
+        page.context.close()
+
+
+def test_code_has_copy_buttons_and_outputs_have_none(site, browser):  # noqa: F811
+    page, _, _ = opened(
+        browser, site["00_will_my_policy_work.html"].as_uri(), 1280, "light"
+    )
+    assert page.locator(".cell_input button.copybtn").count() > 5
+    assert page.locator(".cell_output button.copybtn").count() == 0
+    page.context.close()
+
+
+@pytest.fixture(scope="module")
+def served(site):
+    """The address of the site on a server of its own: a search reads its pages."""
+    folder = str(site["index.html"].parent)
+    handler = functools.partial(Quiet, directory=folder)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+        thread.join()
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A server that prints nothing."""
+
+    def log_message(self, *words):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("install", "install.html"),
+        ("citing", "citing.html"),
+        ("delay", "how_to.html"),
+        ("CSV", "how_to.html"),
+    ],
+)
+def test_the_search_finds(words, expected, served, browser):  # noqa: F811
+    page, heard, _ = opened(browser, f"{served}/search.html?q={words}", 1280, "light")
+    page.locator("#search-results ul.search li a").first.wait_for()
+    page.wait_for_function(
+        "!document.querySelector('#search-progress')?.innerText.includes('Preparing')"
+        " && document.querySelector('#search-results p.search-summary')"
+        "?.innerText.includes('found')"
+    )
+    links = page.locator("#search-results ul.search > li > a")
+    addresses = [link.get_attribute("href") for link in links.all()]
+    pages = [address.partition("?")[0].partition("#")[0] for address in addresses]
+    assert expected in pages[:10], pages[:10]
+    assert heard == []
+    page.context.close()
+
+
+@pytest.mark.parametrize(("said", "asks"), [("", False), ("1", True)])
+def test_other_sites_are_asked_only_where_there_is_a_network(said, asks, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    monkeypatch.setenv("OEE_SITE_NETWORK", said)
+    conf = importlib.import_module("conf")
+    forget_modules_of_the_site()
+    assert ("sphinx.ext.intersphinx" in conf.extensions) == asks
 
 
 # ---- the site: every public name by subject, every attribute under its own name, every
@@ -249,5 +446,4 @@ def test_the_reference_of_commands_has_every_option(monkeypatch):
         for option in command.params:
             if option.opts[0].startswith("-"):
                 assert f"`{option.opts[0]}" in part, (name, option.name)
-    for module in ("conf", "subjects", "dependencies"):
-        sys.modules.pop(module, None)
+    forget_modules_of_the_site()

@@ -254,6 +254,18 @@ def test_the_stored_schematic_is_what_the_script_draws():
         )
 
 
+@pytest.mark.parametrize("name", drawn_images.EXAMPLES)
+def test_the_stored_pictures_of_the_example_are_what_the_script_draws(name):
+    """Huge numbers, whose digits depend on the solver, apart."""
+
+    def plain(text):
+        return re.sub(r"−?[\d.]+e\+\d+", "", drawn_images.comparable(text))
+
+    stored = (drawn_images.IMAGES / f"{name}.svg").read_text()
+    assert plain(stored) == plain(drawn_images.example(name))
+    assert "var(--ink" in stored
+
+
 def test_the_schematic_can_be_read_aloud():
     root = ET.fromstring(drawn_images.SCHEMATIC.read_text())
     name = "{http://www.w3.org/2000/svg}"
