@@ -30,8 +30,8 @@ def describe_flaw(learned: ResidualSimulator) -> str:
 def difference(corrected: ResidualSimulator) -> str:
     """Describe in which coordinates the target's steps differ from the simulator's."""
     changes = ", ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter"
-        f" {c.simulator_scatter:.2g}, {max(c.explained, 0.0):.1%} explained)"
+        f"{c.name} (by {c.residual_scatter:.2g}, where the simulator's own noise is"
+        f" {c.simulator_scatter:.2g}; the correction removes {max(c.explained, 0.0):.1%})"
         for c in corrected.coordinates
         if c.differs
     )
@@ -45,8 +45,8 @@ def difference(corrected: ResidualSimulator) -> str:
     if corrected.units:
         return f"{UNITS.capitalize()}{corrected.units}. {text}"
     text += (
-        " Explained is the share of the residuals' mean square that the correction"
-        " removes."
+        " Differences and noise are root mean squares over the log's steps; the share"
+        " removed is one of their squares."
     )
     return text + odd_row(corrected)
 
