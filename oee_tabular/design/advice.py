@@ -82,9 +82,8 @@ def advice_sentence(
             where=total > 0.0,
         )
         why = f"{so_far}, {shares.mean():.0%} of the {of}'s variance"
-    what = "interval" if of == "value" else "interval of the gain"
     pair = describe_pair(names, state, action)
-    return f"To narrow the {what}, record {pair} first ({why})."
+    return f"To narrow the interval, collect data on {pair} first ({why})."
 
 
 def describe_pair(names: Names, state: int, action: int) -> str:

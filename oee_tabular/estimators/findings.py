@@ -190,10 +190,7 @@ def _low_coverage(facts: Mapping[str, Any], error: float | None) -> Findings:
     if "n_keys" in facts:
         text += " Transitions of the same key elsewhere stand for them."
     elif error is not None and "unrecorded_standard_error" not in facts:
-        text += (
-            " Its standard error leaves them out, so it is too small. Above 10% there is"
-            " no interval."
-        )
+        text += " Its interval leaves them out, so it is too narrow. Above 10% there is none."
     elif facts.get("standard_error_of") is not None:
         alone = f"{text[:-1]}, so there is no interval."
     return (Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone),)

@@ -401,23 +401,23 @@ def test_of_simulator(
             " together, what the simulator calls likely is as frequent as it says"
             f" (z = {z:.1f})."
         )
-    sign = "less" if z < 0 else "more"
+    sign = "less" if z < 0 else "even more"
     whole = (
-        "The target differs from the simulator. What the simulator calls likely happens"
-        f" {sign} often there than it says (z = {z:.1f} standard deviations, over all"
+        "The target differs from the simulator. Outcomes that are likely in the simulator"
+        f" are {sign} frequent in the target (z = {z:.1f} standard deviations, over all"
         " recorded transitions together)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} Many small differences add up to that: none of the {pairs} shows it"
-            " alone."
+            f"{whole} Many small differences add up to that z: none of the {pairs}"
+            " differs surely when tested alone."
         )
     if rejected == tested:
-        return f"{whole} Each of the {pairs} shows it alone as well."
-    verb = "shows" if rejected == 1 else "show"
-    return f"{whole} {rejected:,} of the {pairs} {verb} it alone."
+        return f"{whole} Each of the {pairs} differs surely when tested alone."
+    verb = "differs" if rejected == 1 else "differ"
+    return f"{whole} {rejected:,} of the {pairs} {verb} surely when tested alone."
 
 
 def distance_from_simulator(

@@ -128,8 +128,8 @@ def test_sentences_speak_names():
     )
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
     assert (
-        "To narrow the interval, record action go in state ('room', 1) first (3"
-        " transitions so far" in report.uncertainty.sentences[-1]
+        "To narrow the interval, collect data on action go in state ('room', 1)"
+        " first (3 transitions so far" in report.uncertainty.sentences[-1]
     )
     assert "('room', 1)" in report.to_html()
     plan = str(oee.plan_data_collection(problem, ["go"] * 3, n=10))

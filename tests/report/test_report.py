@@ -372,7 +372,7 @@ def test_advice_stands_once_and_a_wrong_behaviour_policy_has_a_warning():
             Problem(SMALL, oee.Transitions([0], [0], [3])), policies, estimators="oee"
         )
     )
-    assert text.count("interval, record action ") == 1
+    assert text.count("interval, collect data on action ") == 1
     log = oee.sample_episodes(SMALL, oee.tasks.gridworld_policy(3, 0.4), 10, 20, seed=0)
     warnings = oee.evaluate(
         Problem(SMALL, log, behavior_policy=UNIFORM), UNIFORM
@@ -507,24 +507,25 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.test_of_simulator(-29.04, 1, 739, is_rejected=True),
             (
-                "The target differs from the simulator. What the simulator calls likely"
-                " happens less often there than it says (z = -29.0 standard deviations,"
-                " over all recorded transitions together). 1 of the 739 recorded"
-                " state-action pairs shows it alone."
+                "The target differs from the simulator. Outcomes that are likely in the"
+                " simulator are less frequent in the target (z = -29.0 standard"
+                " deviations, over all recorded transitions together). 1 of the 739"
+                " recorded state-action pairs differs surely when tested alone."
             ),
         ),
         (
             text.test_of_simulator(24.51, 0, 1200, is_rejected=True),
             (
-                "The target differs from the simulator. What the simulator calls likely"
-                " happens more often there than it says (z = 24.5 standard deviations,"
-                " over all recorded transitions together). Many small differences add up"
-                " to that: none of the 1,200 recorded state-action pairs shows it alone."
+                "The target differs from the simulator. Outcomes that are likely in the"
+                " simulator are even more frequent in the target (z = 24.5 standard"
+                " deviations, over all recorded transitions together). Many small"
+                " differences add up to that z: none of the 1,200 recorded state-action"
+                " pairs differs surely when tested alone."
             ),
         ),
         (
             text.test_of_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
-            "Each of the 6 recorded state-action pairs shows it alone as well.",
+            "Each of the 6 recorded state-action pairs differs surely when tested alone.",
         ),
         (
             text.test_of_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],

@@ -228,7 +228,7 @@ def test_no_interval_with_little_coverage_or_unknown_variance():
     assert row["coverage"] < 0.9
     assert row["standard_error"] > 0
     assert (row["lower"], row["upper"], row["interval_method"]) == (None, None, None)
-    assert "leaves them out, so it is too small. Above 10% there is no" in notes[0]
+    assert "leaves them out, so it is too narrow. Above 10% there is none" in notes[0]
     assert row_of(report)[0]["lower"] is not None
     # each (s, a) recorded once: the frequencies are all 0 or 1, their variance is 0
     log = even(20_000).log
@@ -347,9 +347,9 @@ def test_much_data_of_another_environment():
         even(60_000), {"mine": MINE}, estimators=["oee"], guaranteed=True, target=TARGET
     )
     far, sure, advice = found.uncertainty.sentences
-    assert far.startswith("The target differs from the simulator. What the")
+    assert far.startswith("The target differs from the simulator. Outcomes that")
     assert far.endswith(
-        "Each of the 60 recorded state-action pairs shows it alone as well."
+        "Each of the 60 recorded state-action pairs differs surely when tested alone."
     )
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
@@ -371,8 +371,8 @@ def test_what_was_never_recorded_comes_first():
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
     assert advice == (
-        "To narrow the interval, record action down in cell (0, 0) first (never"
-        " recorded)."
+        "To narrow the interval, collect data on action down in cell (0, 0) first"
+        " (never recorded)."
     )
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
     assert "One state-action pair was never recorded, and the policy spends " in answer
@@ -422,8 +422,8 @@ def test_the_test_of_all_transitions_together_by_hand(seed):
     z = score / math.sqrt(variance)
     assert abs(z) > 3.5
     said = sentences_of(Problem(simulator, log), np.zeros(12, dtype=int))[0]
-    sign = "less" if z < 0 else "more"
-    assert f"happens {sign} often there than it says (z = {z:.1f} standard" in said
+    sign = "less" if z < 0 else "even more"
+    assert f"are {sign} frequent in the target (z = {z:.1f} standard" in said
 
 
 def test_differences_are_in_the_reports_unit():
@@ -455,9 +455,8 @@ def test_a_certain_simulator_has_nothing_to_learn():
     far, advice = report.uncertainty.sentences
     assert "one possible next state in every recorded" in far
     assert (
-        advice
-        == "To narrow the interval, record action 0 in state 0 first (1 transition so"
-        " far; the model has one outcome)."
+        advice == "To narrow the interval, collect data on action 0 in state 0 first (1"
+        " transition so far; the model has one outcome)."
     )
     over = Problem(
         oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9),

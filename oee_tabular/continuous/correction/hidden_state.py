@@ -106,9 +106,7 @@ def history_effects(
         used = rows[is_used]
         if len(used) < MIN_ROWS:
             continue
-        unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
-        scaled = residuals / np.where(unit > 0, unit, 1.0)
-        y = np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None]
+        y, unit = _scale(residuals, is_usable)
         blocks = _stack_blocks(
             [block[is_used] for block in acted], y, earlier[used], has_residuals
         )
@@ -116,11 +114,28 @@ def history_effects(
         present = np.column_stack([codes[used], near])
         size = unit * np.sqrt((y[used] ** 2).mean(axis=0))
         found = _explain(present, blocks, y[used], group[used] % FOLDS, size, least)
-        best = [
-            new if new.r_squared > old.r_squared else old
-            for old, new in zip(best, found, strict=True)
-        ]
+        best = _take_larger(best, found)
     return best
+
+
+def _scale(residuals: Array, is_usable: BoolArray) -> tuple[Array, Array]:
+    """Return residuals in units of their size, clipped, and the units (k,).
+
+    Rows that are not usable have 0.
+    """
+    unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
+    scaled = residuals / np.where(unit > 0, unit, 1.0)
+    return np.clip(scaled, -MAX_CLIPPED, MAX_CLIPPED) * is_usable[:, None], unit
+
+
+def _take_larger(
+    best: list[HistoryEffect], found: list[HistoryEffect]
+) -> list[HistoryEffect]:
+    """Return the effect of each coordinate that explains more."""
+    return [
+        new if new.r_squared > old.r_squared else old
+        for old, new in zip(best, found, strict=True)
+    ]
 
 
 def _stack_blocks(

@@ -141,29 +141,13 @@ def measure_scatter(
     Scatter
         The scatter.
     """
-    d = log.n_state
-    k = left_over.shape[1]
-    some = np.sort(rng.permutation(len(log))[:N_SIMULATED])
-    noisy = task.step(log.state[some], actions[some], rng)
-    noise = np.zeros((len(some), k))
-    noise[:, :d] = shortest(noisy.next_state - own.next_state[some], periods)
-    spread = root_mean_square(noise)
+    own_noise = _sample_noise(task, log, actions, own, left_over.shape[1], periods, rng)
     e = left_over[is_free]
     size = root_mean_square(e)
-    rounding = np.full(k, SCATTER_ROUNDING)
-    rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
-    rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
-    # the simulator's own noise is taken where the log's has its size and mean
-    most = max(0.05, 4.0 / np.sqrt(len(e)))
-    is_alike = np.abs(size / np.maximum(spread, 1e-300) - 1.0) <= most
-    apart = np.abs(noise.mean(axis=0) - e.mean(axis=0))
-    is_alike &= apart <= MAX_MEAN_ERRORS * spread * np.sqrt(2.0 / len(some))
-    is_own = (spread > rounding) & is_alike & (task.n_disturbances > 0)
+    rounding = _rounding_of(log, left_over.shape[1], periods)
+    is_own = _is_like(own_noise, e, size) & (own_noise.spread > rounding)
+    is_own &= task.n_disturbances > 0
     is_drawn = ~is_own & (size > rounding)
-    if k > d:
-        is_end_alike = noisy.terminated == own.terminated[some]
-        reward_noise = np.where(is_end_alike, noisy.reward - own.reward[some], 0.0)
-        spread[-1] = root_mean_square(reward_noise)
     e = np.where(is_drawn, e, 0.0)
     order = _order_rows(e, size)
     kept_actions = actions[is_free]
@@ -179,9 +163,76 @@ def measure_scatter(
             near = _sort_near(found, order)
     weights = np.ones(len(e))
     pools = _pool_rows(rows, order, weights)
+    spread = own_noise.spread_with_reward
     return Scatter(
         spread, is_own, is_drawn, e, order, rows, neighbors, near, weights, pools
     )
+
+
+class OwnNoise(NamedTuple):
+    """The simulator's own noise at rows of a log.
+
+    Attributes
+    ----------
+    number : int
+        How many rows it was sampled at.
+    mean : ndarray of shape (k,)
+        The mean of each coordinate; 0 of the reward.
+    spread : ndarray of shape (k,)
+        The root mean square; 0 of the reward, which never takes it.
+    spread_with_reward : ndarray of shape (k,)
+        The same, with that of the reward.
+    """
+
+    number: int
+    mean: Array
+    spread: Array
+    spread_with_reward: Array
+
+
+def _sample_noise(
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    actions: IntArray,
+    own: Moves,
+    k: int,
+    periods: Array,
+    rng: np.random.Generator,
+) -> OwnNoise:
+    """Sample the simulator's noise in ``k`` coordinates, about its steps ``own``."""
+    d = log.n_state
+    some = np.sort(rng.permutation(len(log))[:N_SIMULATED])
+    noisy = task.step(log.state[some], actions[some], rng)
+    noise = np.zeros((len(some), k))
+    noise[:, :d] = shortest(noisy.next_state - own.next_state[some], periods)
+    spread = root_mean_square(noise)
+    with_reward = spread.copy()
+    if k > d:
+        is_end_alike = noisy.terminated == own.terminated[some]
+        reward_noise = np.where(is_end_alike, noisy.reward - own.reward[some], 0.0)
+        with_reward[-1] = root_mean_square(reward_noise)
+    return OwnNoise(len(some), noise.mean(axis=0), spread, with_reward)
+
+
+def _rounding_of(log: ContinuousTransitions, k: int, periods: Array) -> Array:
+    """Return the size (k,) below which a scatter is rounding."""
+    d = log.n_state
+    rounding = np.full(k, SCATTER_ROUNDING)
+    rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
+    rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
+    return rounding
+
+
+def _is_like(noise: OwnNoise, e: Array, size: Array) -> BoolArray:
+    """Return in which coordinates (k,) what is left over is like the own noise.
+
+    It has its size and its mean there.
+    """
+    most = max(0.05, 4.0 / np.sqrt(len(e)))
+    is_alike = np.abs(size / np.maximum(noise.spread, 1e-300) - 1.0) <= most
+    apart = np.abs(noise.mean - e.mean(axis=0))
+    few = np.sqrt(2.0 / noise.number)
+    return np.asarray(is_alike & (apart <= MAX_MEAN_ERRORS * noise.spread * few))
 
 
 def draw_residuals(
