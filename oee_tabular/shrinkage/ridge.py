@@ -194,7 +194,9 @@ def fit_ridge(
     """
     n_actions = rows.n_actions
     columns = directions.columns(rows)
-    n_blocks = 1 + n_actions if by_evidence and n_actions > 1 else 1
+    # one action that any state has leaves nothing to differ between actions
+    has_several = len(np.unique(rows.action)) > 1
+    n_blocks = 1 + n_actions if by_evidence and has_several else 1
     scale = _root_mean_squares(columns, rows)[:n_blocks]
     theta = np.zeros((1 + n_actions, scale.shape[1]))
     strengths = np.ones((2, len(GROUPS)))

@@ -449,7 +449,7 @@ def regression(n=300, seed=0):
     targets = np.column_stack(
         [states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])]
     )
-    arguments = states, actions, displacement
+    arguments = states, actions, displacement, None
     return (
         Functions(Line(), *arguments, rng),
         arguments,
@@ -465,11 +465,15 @@ def test_values_are_sums_of_functions_row_by_row():
     fits = Grams(functions, arguments, targets, group, used).choose()
     w = functions.stack(fits)
     phi = functions(*arguments)
-    (states, actions, displacement) = arguments
+    states, actions, displacement, _ = arguments
     right = np.stack([phi[:, : w.shape[1]][i] @ w[a] for i, a in enumerate(actions)])
     ends = np.array([[-np.inf, -0.5], [np.inf, 0.5]])
-    found = functions.predict(*arguments, w, ends)
+    found = functions.predict(*arguments[:3], w, ends)
     assert_allclose(found, np.clip(right, *ends), atol=1e-12)
+    # a log's own commands, here those of its actions, lead to the same
+    commands = Line().actions.reshape(-1, 1)[actions].astype(float)
+    own = functions.predict(*arguments[:3], w, ends, commands)
+    assert_allclose(own, found, atol=1e-12)
     some = np.arange(7, 500, 3)
     assert_array_equal(
         functions.predict(states[some], actions[some], displacement[some], w, ends),

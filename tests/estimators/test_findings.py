@@ -32,7 +32,7 @@ SILENT_UP_TO = {
         lambda x: of(unrecorded_share=x),
         0.02,
         0.03,
-        "the policy spends 3% of its discounted time in unrecorded state-action pairs.",
+        "3% of the policy's discounted time is in state-action pairs that were never",
     ),
     "row sums": (
         lambda x: of(row_sum_error=x),

@@ -271,28 +271,6 @@ class HistoryTask(DerivedTask):
                 )
         return self.task.displacements(own, actions, self.own(next_states)) + earlier
 
-    def reach(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the range of a log's features, with whole actions for shared ones.
-
-        Parameters
-        ----------
-        low : ndarray of shape (k,)
-            The least feature of the log's states.
-        high : ndarray of shape (k,)
-            The largest.
-
-        Returns
-        -------
-        tuple of ndarray
-            The same, but up to 1 where any row has a share of a last action, and from
-            0.
-        """
-        low, high = low.copy(), high.copy()
-        at = len(low) - self.steps * self.n_actions
-        low[at:] = np.where(low[at:] < 1.0, 0.0, 1.0)
-        high[at:] = np.where(high[at:] > 0.0, 1.0, 0.0)
-        return low, high
-
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Draw the task's initial states, without a last action.
 
@@ -387,6 +365,21 @@ class HistoryTask(DerivedTask):
             The parameters, with the number of actions under "history".
         """
         return self.task.parameters() | {"history": self.steps}
+
+
+def count_whole_actions(
+    task: HistoryTask, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Return a range of features (k,) in which shared actions count as whole ones.
+
+    It reaches up to 1 where any row has a share of a last action, and down to 0 where
+    any has less than all of it.
+    """
+    low, high = low.copy(), high.copy()
+    at = len(low) - task.steps * task.n_actions
+    low[at:] = np.where(low[at:] < 1.0, 0.0, 1.0)
+    high[at:] = np.where(high[at:] > 0.0, 1.0, 0.0)
+    return low, high
 
 
 def blend_steps(

@@ -31,7 +31,11 @@ from oee_tabular.continuous.correction.hidden_state import (
     HistoryEffect,
     history_effects,
 )
-from oee_tabular.continuous.correction.history import HistoryTask, blend_steps
+from oee_tabular.continuous.correction.history import (
+    HistoryTask,
+    blend_steps,
+    count_whole_actions,
+)
 from oee_tabular.continuous.correction.neighbors import Neighbors
 from oee_tabular.continuous.correction.regression import (
     Fit,
@@ -271,7 +275,7 @@ class ResidualSimulator(DerivedTask):
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
         if isinstance(task, HistoryTask):
-            self._range = task.reach(*self._range)
+            self._range = count_whole_actions(task, *self._range)
         self.units = other_units(task, log, actions, self._periods)
         self._stops = find_stops(
             log.state, log.next_state, step.next_state, self._periods > 0

@@ -354,7 +354,7 @@ def _compute(
         fit = fit_parameters(*parameters_of(simulator.task, fit), prepared.log)
     correction = choose_correction(
         simulator.task,
-        prepared.given_log,
+        prepared.commanded_log,
         history=request.history,
         fit=fit,
         seed=request.seed,

@@ -40,8 +40,10 @@ class Prepared:
     log : ContinuousTransitions
         The log, with the numbers of the task's actions.
     given_log : ContinuousTransitions
-        The log as it was given, with commands where it has some. Corrections are made
-        of it.
+        The log as it was given.
+    commanded_log : ContinuousTransitions
+        What corrections are made of: the log as it was given where its commands lie
+        between the task's actions, and otherwise the numbered one.
     settings : Settings
         The settings.
     horizon : int
@@ -64,6 +66,7 @@ class Prepared:
     simulator: ContinuousSimulator
     log: ContinuousTransitions
     given_log: ContinuousTransitions
+    commanded_log: ContinuousTransitions
     settings: Settings
     horizon: int
     discount: float
@@ -142,6 +145,7 @@ def prepare(
         simulator,
         numbered,
         log,
+        numbered if shares is None else log,
         settings,
         horizon,
         discount,
