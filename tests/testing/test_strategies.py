@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import _checks
 from oee_tabular.testing import as_code, horizons, logs, mdp_pairs, mdps, policies
 
 QUICK = settings(
@@ -256,7 +255,7 @@ def test_code_of_every_form(value):
 @pytest.mark.parametrize(
     "value",
     [3, -1.5, None, True, "x", (1,), [1.0, None], {"a": 1}, 10**4000, -(3**20000)],
-    ids=lambda value: _checks.show(value)[:20],
+    ids=lambda value: type(value).__name__,
 )
 def test_code_of_plain_values(value):
     assert run_code(as_code(value)) == value
