@@ -194,8 +194,9 @@ def fit_ridge(
     """
     n_actions = rows.n_actions
     columns = directions.columns(rows)
-    # one action that any state has leaves nothing to differ between actions
-    has_several = len(np.unique(rows.action)) > 1
+    # Actions that no state has leave nothing to differ. One that was never recorded
+    # does: it has the shared part of what was seen, and not the recorded actions' own.
+    has_several = int(directions.simulator.available.any(axis=0).sum()) > 1
     n_blocks = 1 + n_actions if by_evidence and has_several else 1
     scale = _root_mean_squares(columns, rows)[:n_blocks]
     theta = np.zeros((1 + n_actions, scale.shape[1]))

@@ -368,3 +368,31 @@ def test_a_fit_in_another_process_is_the_same(options):
     other = pickle.loads(pickle.dumps(zeta))
     assert other.log_standard_error(gradient) == zeta.log_standard_error(gradient)
     assert other.one_step(gradient) == zeta.one_step(gradient)
+
+
+def test_a_log_of_one_action_does_not_say_all_of_the_others():
+    """What one action shows may be its own: the others get the shared part of it. Actions
+    that no state has are no others.
+    """
+    simulator = oee.tasks.gridworld(4, 0.3, discount=0.9)
+    target = oee.tasks.gridworld(4, 0.1, discount=0.9)
+    share = np.zeros((16, 4))
+    share[:, 0] = 1 / 16
+    log = oee.sample_transitions(target, share, 2000, seed=5)
+    zeta = oee.transition_ratio(log, simulator)
+    own = [name for name in zeta.details["directions"] if name.endswith("action 0")]
+    assert own
+    moved = np.abs(np.log(np.maximum(zeta.values.toarray(), 1e-300)))
+    moved = np.where(zeta.values.toarray() > 0, moved, 0.0).reshape(16, 4, 16)
+    largest = moved.max(axis=(0, 2))
+    assert (largest[1:] < 0.8 * largest[0]).all()
+    assert (largest[1:] > 0.05 * largest[0]).all()
+
+    only = oee.FiniteMDP(
+        simulator.transitions.toarray().reshape(16, 4, 16)[:, :1],
+        simulator.rewards[:, :1],
+        np.full(16, 1 / 16),
+        0.9,
+    )
+    alone = oee.transition_ratio(log, only)
+    assert not [name for name in alone.details["directions"] if "action" in name]
