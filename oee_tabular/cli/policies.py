@@ -201,7 +201,7 @@ def _settle(
                 f" of the file){suggest_label(label, list(mdp.action_names or ()))}",
             )
     warn_read_as(name, [pair for pair in renamed if pair[0] != pair[1]], option="")
-    warn_left_out(name.strip("'"), left, of="policy")
+    warn_left_out(repr(name.strip("'")), left, of="policy")
 
 
 def _to_action(label: Any) -> Any:

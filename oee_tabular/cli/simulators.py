@@ -206,7 +206,7 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
                 )
             values = values.astype(np.float64)
         found.append(values)
-    warn_left_out(path, [label for label in frame.columns if label not in used])
+    warn_left_out(repr(path), [label for label in frame.columns if label not in used])
     return found
 
 

@@ -309,7 +309,7 @@ def _load_table(
     unknown = [label for label in found.left_out if label not in reported]
     reported.update(renamed, unknown)
     warn_read_as(repr(name), renamed)
-    warn_left_out(name, unknown)
+    warn_left_out(repr(name), unknown)
     return columns
 
 

@@ -23,6 +23,7 @@ from oee_tabular.data.labels import (
     show_labels,
     suggest_columns,
     suggest_label,
+    warn_left_out,
     warn_read_as,
 )
 from oee_tabular.data.rules import (
@@ -121,6 +122,7 @@ def frame_columns(
     )
     if "episode" in values:
         values["episode"] = settle_episodes(values["episode"])
+    warn_left_out("the frame", found.left_out)
     return values
 
 

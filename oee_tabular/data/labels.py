@@ -531,7 +531,7 @@ def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
     if len(left_out) > MAX_SHOWN_COLUMNS:
         named.append(f"and {len(left_out) - MAX_SHOWN_COLUMNS} more")
     _checks.warn(
-        f"columns of {name!r} that a {of} does not use are left out: {', '.join(named)}",
+        f"columns of {name} that a {of} does not use are left out: {', '.join(named)}",
         DataWarning,
     )
 

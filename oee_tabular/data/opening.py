@@ -198,7 +198,7 @@ def _add_files(
         left = [label for label in counts.matching.left_out if label not in reported]
         reported.update(renamed, left)
         warn_read_as(repr(file.path), renamed)
-        warn_left_out(file.path, left)
+        warn_left_out(repr(file.path), left)
         if counts.sums is not None or counts.recording.dropped:
             same_columns.add(file.path, counts.known)
         folders.add(file, counts.known, counts.episodes, counts.matching.fields())

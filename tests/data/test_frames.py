@@ -198,8 +198,10 @@ def polars(table):
 )
 def test_frames_of_any_library(kind):
     plain = pd.DataFrame(NUMBERS.columns())
-    for table in (plain, plain.astype({"episode": str}), plain.assign(note="x")):
+    for table in (plain, plain.astype({"episode": str})):
         assert_same(Transitions.from_frame(kind(table)), NUMBERS)
+    with pytest.warns(DataWarning, match="columns of the frame .* left out: note$"):
+        assert_same(Transitions.from_frame(kind(plain.assign(note="x"))), NUMBERS)
     texts = frame().assign(
         state=frame()["state"].map(str), next_state=frame()["next_state"].map(str)
     )
@@ -287,14 +289,28 @@ def test_labels_of_others_are_read_with_one_note_and_no_other_is_named():
         .rename(columns={"reward": "rewards", "terminated": "Terminated"})
         .assign(note="x")
     )
-    with pytest.warns(
-        DataWarning, match="reads 'rewards' as reward, 'Terminated' as terminated "
-    ) as told:
+    with pytest.warns(DataWarning) as told:
         assert_same(Transitions.from_frame(table, simulator=MDP), NUMBERS)
-    assert len(told) == 1
+    read, left = (str(each.message) for each in told)
+    assert "reads 'rewards' as reward, 'Terminated' as terminated " in read
+    assert left.endswith("left out: note")
+
+
+def test_columns_that_a_frame_alone_has_are_named_as_those_of_a_file():
+    """Levels of its index too; columns that were left out on purpose are not."""
+    table = frame().assign(isdone=0, weight=2).set_index("weight")
+    with pytest.warns(DataWarning) as told:
+        assert_same(Transitions.from_frame(table, simulator=MDP), NUMBERS)
+    assert [str(each.message) for each in told] == [
+        "columns of the frame that a log does not use are left out: isdone, weight"
+    ]
+    with pytest.warns(DataWarning, match="left out: a, .*, and 2 more$"):
+        Transitions.from_frame(
+            frame().assign(**dict.fromkeys("abcdefghijkl", 0)), simulator=MDP
+        )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Transitions.from_frame(frame().assign(note="x", reward_2=1.0))
+        Transitions.from_frame(frame(), simulator=MDP, columns={"reward": None})
 
 
 # ---------------------------------------------------------------- lists of steps

@@ -115,7 +115,7 @@ def read_lists(form: Format, path: str, reported: set[Any]) -> Columns | None:
     unknown = [label for label in matching.left_out if label not in reported]
     reported.update(renamed, unknown)
     warn_read_as(repr(path), renamed)
-    warn_left_out(path, unknown)
+    warn_left_out(repr(path), unknown)
     return form.from_table(values, path)
 
 
