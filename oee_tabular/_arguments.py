@@ -71,6 +71,8 @@ def named_specs(
                     f" {name}=./{spec}, or NAME={text})",
                 )
             name, equals, spec = text, "", ""
+        elif equals and not known and _is_in_folder(text) and not _is_in_folder(spec):
+            name, equals, spec = text, "", ""  # a file that is not there, named whole
         if known and (not equals or name not in known):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}=VALUE?)" if near else ""
@@ -87,6 +89,12 @@ def named_specs(
             raise ValueError(f"{option} names must differ; {name!r} is given twice")
         specs[name] = spec if equals else text
     return specs
+
+
+def _is_in_folder(text: str) -> bool:
+    """Say whether a text names a place in a folder that is there."""
+    folder = os.path.dirname(text)
+    return bool(folder) and os.path.isdir(folder)
 
 
 def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:

@@ -139,6 +139,8 @@ def float_array(
     )
     kind = given.dtype.kind
     holds_text = kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
+    if kind in "US" or holds_text:
+        refuse_text(value, name, "be an array of numbers", "float")
     try:
         if kind in "USMm" or holds_text:
             raise TypeError("text or dates")
@@ -160,6 +162,32 @@ def float_array(
             name, f"must have {rule} dimension(s); it has shape {array.shape}"
         )
     return array
+
+
+def refuse_text(value: object, name: str, rule: str, kind: str, hint: str = "") -> None:
+    """Raise an ArgumentError for the first text in an array or in nested lists.
+
+    ``rule``: what it must do; ``kind``: the type of which the texts may be numbers;
+    ``hint``: what errors of other texts add. Nothing is raised where there is no text.
+    """
+    try:
+        items = np.array(value, dtype=object)
+    except (ValueError, TypeError):  # rows of different lengths
+        return
+    texts = [at for at, item in np.ndenumerate(items) if isinstance(item, str | bytes)]
+    if not texts:
+        return
+    more = f" ({len(texts)} texts in all)" if len(texts) > 1 else ""
+    try:
+        np.array([items[at] for at in texts]).astype(kind)
+        hint = f" (numbers written as text? .astype({kind}))"
+    except (ValueError, TypeError, OverflowError):
+        pass
+    first = texts[0]
+    where = place(name, first) if first else "it"
+    raise ArgumentError(
+        name, f"must {rule}; {where} is {show(items[first])}{more}{hint}"
+    )
 
 
 def as_array(

@@ -358,6 +358,9 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
             f"{os.fspath(path)!r}",
             f"must hold every part of {what}; {error} is missing",
         ) from None
+    except ArgumentError as error:
+        place = f"{os.fspath(path)!r}: {error.argument}"
+        raise ArgumentError(place, error.rule) from None
     except (IndexError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)!r}: {error}") from None
 

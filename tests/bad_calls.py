@@ -259,6 +259,10 @@ TransitionCounts.of(0 * GRID.transitions, 4)  ->  matrix must have at least one 
 Transitions(["a", "1"], [0, 0], ["a", "b"])  ->  state[1] must be a name, as others of the column are
 Transitions(["a", "nan"], [0, 0], ["a", "b"])  ->  state[1] must be a name
 Transitions(["1", "0"], [0, 0], [1, 0])  ->  state must hold integers; ...(numbers written as text? .astype(int))
+Transitions([1, 0], [0, 0], [0, "x"])  ->  next_state must hold integers; next_state[1] is 'x' (names? state and
+Transitions([1, 0], [0, 0], [1, 0], [0.5, "none yet"])  ->  reward must be an array of numbers; reward[1] is 'none yet'
+Transitions([1, 0], [0, 0], [1, 0], ["0.5", "1"])  ->  reward must be an array of numbers; ... .astype(float))
+Transitions([1, 0], [0, "up"], [1, 0])  ->  action must hold integers; action[1] is 'up'
 Transitions([1, 0], [0, 0], ["a", "b"])  ->  next_state must hold integers
 Transitions(["a", "a "], [0, 0], ["a", "b"])  ->  state[1] must not be empty, nor begin or end with a blank
 Transitions([(0, 1), (1, ())], [0, 0], ["a", "b"])  ->  state[1] must be a name
@@ -917,7 +921,7 @@ states(state=[0.0, 1.0])  ->  state must have shape (n, d); it has shape (2,)
 states(state=np.zeros((0, 2)))  ->  state must have at least one row; the log is empty
 states(state=[[0.0, np.nan], [0.4, 0.1]])  ->  state[0, 1] must be finite; it is nan
 states(next_state=[[0.4, 0.1], [np.inf, 0.0]])  ->  next_state[1, 0] must be finite; it is inf
-states(state=[["a", "b"]])  ->  state must be an array of numbers; got list
+states(state=[["a", "b"]])  ->  state must be an array of numbers; state[0, 0] is 'a'...
 states(next_state=[[0.4], [0.5]])  ->  next_state must have the 2 coordinates of state; it has 1
 states(action=[0])  ->  columns must have equal lengths; ...'action': 1
 states(action=[0, -1])  ->  action[1] must be at least 0; it is -1

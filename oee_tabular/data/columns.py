@@ -457,7 +457,8 @@ class LogColumns:
 def _number_texts(episode: Any) -> Any:
     """Number episodes that are texts in the order of their first rows.
 
-    Other episodes are returned as they are.
+    Other episodes are returned as they are. Blanks around a text say nothing, as in
+    files and frames.
     """
     if isinstance(episode, np.ndarray):
         may_hold_texts = episode.ndim == 1 and episode.dtype.kind in "UO"
@@ -465,7 +466,7 @@ def _number_texts(episode: Any) -> Any:
         may_hold_texts = isinstance(episode, list | tuple)
     items = list(episode) if may_hold_texts else []
     if items and all(isinstance(item, str) for item in items):
-        return number_in_order(items)[0]
+        return number_in_order([item.strip() for item in items])[0]
     return episode
 
 

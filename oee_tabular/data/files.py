@@ -35,6 +35,7 @@ from oee_tabular.data.rules import (
     COLUMNS,
     MOVE,
     NO_NAMES,
+    WAY,
     as_objects,
     check_table,
 )
@@ -74,10 +75,6 @@ MINARI_FILES = ("metadata.json", "main_data.hdf5")
 MAX_SHOWN_FILES = 5
 # other files than those of logs, above which a folder is not one of a log
 MAX_OTHER_FILES = 100_000
-WAY = (
-    " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
-    " bad_rows='drop'), oee counts --bad-rows drop)"
-)
 Columns = dict[str, Column]
 OwnNames: TypeAlias = Mapping[str, tuple[Name, ...] | None]  # by a column's label
 

@@ -17,7 +17,7 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
 from oee_tabular.data.copies import Namesakes, Overlaps, print_of
-from oee_tabular.data.rules import settle_episodes
+from oee_tabular.data.rules import WAY, settle_episodes
 from oee_tabular.data.tables import LogFile
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import BoolArray, Column
@@ -286,11 +286,11 @@ def join_logs(
             try:
                 logs.append(cls(**columns))
             except ArgumentError as error:
-                hint = (
-                    order_hint(file, columns, named)
-                    if n and "episode" in columns
-                    else ""
-                )
+                hint = ""
+                if n and "episode" in columns:
+                    hint = order_hint(file, columns, named)
+                    if is_table and not hint and not cls.FILES.has_vectors:
+                        hint = WAY
                 raise ArgumentError(error.argument, error.rule + hint) from None
         is_one.append(verdict.is_one)
         shifts.append(shift)

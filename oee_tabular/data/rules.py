@@ -42,6 +42,11 @@ KINDS = {
     "behavior_probability": "numbers",
 }
 COLUMNS = tuple(KINDS)
+# what a whole reading says to bad rows of a file of transitions
+WAY = (
+    " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
+    " bad_rows='drop'), oee counts --bad-rows drop)"
+)
 # in small letters, without blanks around; numbers that are 0 or 1 are flags as well
 FLAG_WORDS = {
     "true": True,
@@ -312,10 +317,11 @@ def check_array(value: object, label: str) -> Column:
     if array.ndim != 1:
         raise ArgumentError(label, f"must have 1 dimension; it has shape {array.shape}")
     if kind == "integers" and array.size and array.dtype.kind not in "iuf":
-        texts = ""
-        if array.dtype.kind in "UO":
-            texts = " (numbers written as text? .astype(int))"
-        raise ArgumentError(label, f"must hold integers; it holds {array.dtype}{texts}")
+        names = ""
+        if label in ("state", "next_state"):
+            names = " (names? state and next_state must both hold names, or numbers)"
+        _checks.refuse_text(value, label, "hold integers", "int", names)
+        raise ArgumentError(label, f"must hold integers; it holds {array.dtype}")
     values, fault = check_column(array, label)
     if fault is not None:
         raise fault.to_error(has_count=False)

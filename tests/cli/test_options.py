@@ -49,6 +49,14 @@ def test_two_files_that_may_be_meant_are_both_named(run, policies):
     assert both["other"] == values(run, "--policy b.npy")["b.npy"]
 
 
+def test_a_file_that_is_not_there_is_named_whole(run, policies):
+    (policies / "lr=0.1").mkdir()
+    said = run("evaluate", SHORT, "--policy lr=0.1/nope.npy", code=2)
+    assert "no such file: lr=0.1/nope.npy" in said
+    said = run("evaluate", SHORT, "--policy best=0.2/nope.npy", code=2)
+    assert "no such file: 0.2/nope.npy" in said
+
+
 def test_settings_are_no_files(run, folder):
     words = "plan --simulator sim.npz --log log.csv --transitions 9 --policy uniform"
     words = f"{words} --plan-option model=simulator --json"

@@ -248,7 +248,9 @@ def test_whatever_stands_beside_a_log_s_own_columns_changes_nothing(labels):
     table = OURS.assign(**{label: 1 for label in labels if label not in OURS})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message="columns of the frame that a log does")
+        warnings.filterwarnings(
+            "ignore", message="columns of the frame that a log does"
+        )
         log = Transitions.from_frame(table)
     for label, column in EXPECTED.columns().items():
         assert_array_equal(log.columns()[label], column)

@@ -16,6 +16,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
+from oee_tabular.exceptions import ArgumentError
 
 HEAD = "state,action,next_state"
 PAD = " " * 90
@@ -154,6 +155,32 @@ def test_ids_are_as_many_as_their_texts(tmp_path_factory, ids):
     assert [log.n_episodes for log in logs] == [n] * 4
     for name in ("a.csv", "a.parquet"):
         assert Transitions.open(folder / name).recording.episodes == n
+
+
+@settings(max_examples=10)
+@given(IDS, st.sampled_from([" ", "  ", "\t"]), st.booleans())
+def test_blanks_around_an_id_say_nothing(tmp_path_factory, own, blank, is_before):
+    path = tmp_path_factory.mktemp("ids") / "a.csv"
+    ids = [own, blank + own if is_before else own + blank]
+    frame = pd.DataFrame({"state": 0, "action": 0, "next_state": 0, "episode": ids})
+    frame.to_csv(path, index=False)
+    for log in (
+        Transitions.from_frame(frame),
+        Transitions.load(path),
+        Transitions([0, 0], [0, 0], [0, 0], episode=ids),
+    ):
+        assert log.n_episodes == 1
+
+
+def test_an_episode_that_begins_late_is_refused_with_a_way_on(tmp_path):
+    path = write(tmp_path, f"{HEAD},episode,timestep\n0,0,1,5,2\n1,0,0,5,3\n")
+    for read in (Transitions.load, Transitions.open):
+        with pytest.raises(
+            ArgumentError, match=r"timestep\[0\] must be 0 .*bad_rows='drop'"
+        ) as refused:
+            read(path)
+        assert path.name in str(refused.value)
+    assert "1 episode broken" in repr(Transitions.open(path, bad_rows="drop"))
 
 
 def test_ids_of_a_large_file_and_integers(tmp_path):
