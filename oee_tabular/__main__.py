@@ -48,6 +48,9 @@ def main() -> None:
     finally:
         if handled:
             signal.signal(signal.SIGINT, _leave)
+        # Ctrl-C within an exec() of some library makes Python end itself by a signal
+        # later on, though it was caught. The next exec() takes that back.
+        exec("pass")
 
 
 def _leave(*_: object) -> None:

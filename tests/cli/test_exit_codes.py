@@ -2,6 +2,7 @@
 
 import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -196,6 +197,22 @@ def test_ctrl_c_is_130(code, monkeypatch, name):
     monkeypatch.setattr(Command, "invoke", interrupted)
     assert code(f"{name} {LINES[name][0]}") == 130
     assert contents() == before
+
+
+@pytest.mark.parametrize("text", ["raise KeyboardInterrupt", "def f(: pass"])
+def test_ctrl_c_within_the_text_of_a_library_ends_with_a_code_too(tmp_path, text):
+    """Not by a signal, which Python sends itself where an ``exec`` was interrupted."""
+    (tmp_path / "robot.py").write_text(f"exec({text!r})\n")
+    line = "sample robot:make --transitions 5 --output log.npz"
+    done = subprocess.run(
+        [sys.executable, "-m", "oee_tabular", *line.split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == (130 if "Keyboard" in text else 2)
+    assert "Traceback" not in done.stderr
 
 
 def test_the_how_to_has_the_table():
