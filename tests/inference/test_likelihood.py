@@ -2,35 +2,18 @@
 end.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from helpers import printed, random_mdp, random_policy, rngs
+from helpers import printed, random_policy, rngs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy import stats
-from scipy.optimize import minimize
+from slsqp import LIMIT, best_of_slsqp, problem_of
 
 import oee_tabular as oee
-from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import profile_ascent
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.profile_ascent import likelihood_ends
-
-LIMIT = stats.chi2.ppf(0.95, 1) / 2
-
-
-def problem_of(rng, horizon=None, n=None):
-    simulator = random_mdp(rng, n_states=int(rng.integers(3, 9)), n_actions=2)
-    policy = random_policy(rng, simulator)
-    shape = policy.shape
-    n = int(rng.integers(5, 200)) if n is None else n
-    log = oee.sample_transitions(
-        simulator, np.full(shape, 1 / policy.size), n, seed=int(rng.integers(99))
-    )
-    return oee.Problem(simulator, log, horizon=horizon), policy
 
 
 def divergence(evidence, rows):
@@ -55,74 +38,6 @@ def test_an_end_is_a_member_and_its_value(rng, horizon):
             evidence.with_rows(end.rows), policy, horizon=horizon
         )
         assert sign * (end.value - frequencies) >= -1e-9 * max(1.0, abs(frequencies))
-
-
-def best_of_slsqp(evidence, sign, n_starts, rng, minus=None):
-    """The end by SLSQP over all free probabilities."""
-    spread = evidence.rows.spread
-    policies = [(1.0, evidence.policy)]
-    reached = evidence.reachable
-    if minus is not None:
-        policies.append((-1.0, minus))
-        reached = reached | replace(evidence, policy=minus).reachable
-    horizon = evidence.horizon
-    free = np.flatnonzero(spread(reached & evidence.is_stochastic))
-    pair = spread(np.arange(len(evidence.n)))[free]
-    n = spread(evidence.n)[free]
-    phat = evidence.phat[free]
-    base = evidence.phat.copy()
-    held = np.flatnonzero((n > 0) & (phat > 0))
-    weight = (n * phat)[held]
-    sums = (pair == np.unique(pair)[:, None]) * 1.0
-
-    def left(x):
-        return LIMIT + weight @ np.log(np.maximum(x[held], 1e-300) / phat[held])
-
-    def left_gradient(x):
-        return np.bincount(held, weight / np.maximum(x[held], 1e-300), len(x))
-
-    def loss(x):
-        total = sums.T @ (sums @ x)
-        base[free] = p = x / total
-        model = evidence.with_rows(base)
-        value = 0.0
-        gradient = np.zeros(len(free))
-        for side, policy in policies:
-            value += side * oee.policy_value(model, policy, horizon=horizon)
-            slope = transition_gradient(model, policy, horizon=horizon)
-            gradient += side * slope[free]
-        gradient = (gradient - sums.T @ (sums @ (p * gradient))) / total
-        return -sign * value, -sign * gradient
-
-    best = -np.inf
-    bounds = [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))]
-    for _ in range(n_starts):
-        aim = rng.exponential(size=len(free)) ** 3
-        aim = np.where(
-            n > 0,
-            0.9 * phat + 0.1 * aim / (sums.T @ (sums @ aim)),
-            aim / (sums.T @ (sums @ aim)),
-        )
-        rules = [
-            {"type": "eq", "fun": lambda x: sums @ x - 1, "jac": lambda x: sums},
-            {"type": "ineq", "fun": left, "jac": left_gradient},
-        ]
-        options = {"maxiter": 500, "ftol": 1e-13}
-        answer = minimize(
-            loss,
-            aim,
-            jac=True,
-            method="SLSQP",
-            bounds=bounds,
-            constraints=rules,
-            options=options,
-        ).x
-        answer = np.clip(answer, 0.0, 1.0) / (
-            sums.T @ (sums @ np.clip(answer, 0.0, 1.0))
-        )
-        if left(answer) >= -1e-7:
-            best = max(best, -loss(answer)[0])
-    return sign * best
 
 
 # scipy 1.15's SLSQP
