@@ -249,6 +249,12 @@ class Walled(Remembering):
         return self.state, 1.0, False, False, {}
 
 
+@pytest.mark.parametrize("steps", [2**53 + 1, 10**12])
+def test_more_steps_to_check_than_memory_holds_are_refused(steps):
+    with pytest.raises(ValueError, match="check_steps must be small enough for this"):
+        task_of(Remembering, check_steps=steps)
+
+
 def test_a_state_that_does_not_decide_the_next_one_is_refused():
     match = (
         r"get_state and set_state must have all .*: \d+ of 200 steps of environment"

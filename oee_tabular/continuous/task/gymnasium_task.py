@@ -292,6 +292,8 @@ class GymnasiumTask(ContinuousTask):
         The order is another. What differs is an error, where it is at most a twentieth
         of the steps a warning.
         """
+        # each step keeps a state and a generator, of some hundred numbers in all
+        _checks.require_memory(100.0 * steps, "check_steps", steps)
         reset_environment(env, 0)
         rng = np.random.default_rng(0)
         generators = []
