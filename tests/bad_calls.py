@@ -77,6 +77,9 @@ HALL.with_layout([[0, 1], [2, np.nan], [0, 0]])  ->  layout[1, 1] must be finite
 HALL.with_layout([0, 1, -np.inf])  ->  layout[2] must be finite
 HALL.with_layout(["a", "b", "c"])  ->  layout must be an array of numbers
 displacements(HALL, layout=[1j, 2, 3])  ->  layout must be an array of numbers
+oee.plots.Map.of_shape(2, 10**12)  ->  rows must be small enough
+oee.plots.Map.of_shape(10**12, 2)  ->  rows must be small enough
+oee.plots.Map.of_shape(0, 2)  ->  rows must be a positive integer
 mdp([sparse.eye_array(2), sparse.eye_array(3)])  ->  transitions[1] must have shape (2, 2), of states and next states
 mdp([sparse.eye_array(2), np.eye(2)])  ->  transitions must be an array of numbers; got list (a sparse matrix)
 mdp(GOOD.astype(np.float32).astype(float) * (1 + 1e-7))  ->  transitions[0,

@@ -70,7 +70,9 @@ class Map:
             _checks.positive_integer(rows, "rows"),
             _checks.positive_integer(columns, "columns"),
         )
-        _checks.require_memory(shape[0] * shape[1], "rows", shape)
+        # a coordinate is a number of Python's, kept and checked in several places
+        needed = shape[0] * shape[1] + 20.0 * sum(shape)
+        _checks.require_memory(needed, "rows", shape)
         return cls(
             tuple(range(shape[0])),
             tuple(range(shape[1])),
