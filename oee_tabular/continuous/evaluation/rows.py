@@ -132,7 +132,6 @@ def choose_rows(
     """
     task = prepared.simulator.task
     simulate = cache(partial(rollouts.value, task))
-    ends = task.terminates or prepared.log.terminated.any()
 
     @cache
     def bounds(policy: StatePolicy) -> tuple[float, float]:
@@ -147,7 +146,7 @@ def choose_rows(
             max(known[1], own[1]),
             rollouts.horizon,
             rollouts.discount,
-            ends=bool(ends),
+            ends=bool(task.terminates or prepared.log.terminated.any()),
         )
 
     def learned_row(
@@ -172,10 +171,6 @@ def choose_rows(
         """Estimate a value in the corrected simulator."""
         return learned_row(correction.learned, correction.status, policy)
 
-    def target_row(task: ContinuousTask, policy: StatePolicy) -> Estimate:
-        """Estimate a value in the true target."""
-        return _describe_simulated(rollouts.value(task, policy), is_from_log=True)
-
     of_simulator = Row(SIMULATOR, simulated_row)
     plain_status = describe_flaw(correction.plain)
     first: list[Row] = []
@@ -193,11 +188,11 @@ def choose_rows(
     by_weights = sampling_rows(
         sampling, prepared.log, task.n_actions, rollouts.horizon, rollouts.discount
     )
-    others += [Row(name, estimate) for name, estimate in by_weights.items()]
+    others += [Row(*named) for named in by_weights.items()]
     others.append(of_simulator)
     of_target = []
     if target is not None:
-        of_target.append(Row(TARGET, partial(target_row, target)))
+        of_target.append(Row(TARGET, partial(_estimate_in_target, rollouts, target)))
     return Rows(first, others, of_target, wants_oee, simulate)
 
 
@@ -211,6 +206,13 @@ def split_sampling(
         chosen = sampling if isinstance(estimator, ImportanceSampling) else finite
         chosen[name] = estimator
     return sampling, finite
+
+
+def _estimate_in_target(
+    rollouts: Rollouts, target: ContinuousTask, policy: StatePolicy
+) -> Estimate:
+    """Estimate a value in the true target, by Monte Carlo."""
+    return _describe_simulated(rollouts.value(target, policy), is_from_log=True)
 
 
 def _describe_simulated(
