@@ -474,6 +474,11 @@ def describe_files(
         raise ArgumentError(
             "columns", f"must be left out for {file!r}, which is no table"
         )
+    return _describe_arrays(file)
+
+
+def _describe_arrays(file: str) -> tuple[str, str]:
+    """Return what kind of thing a file of arrays holds, and say what."""
     arrays = _files.read_npz(file)
     kind = _files.npz_kind(arrays)
     if kind == "transitions":
