@@ -19,7 +19,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy, number_of
 from oee_tabular.plots import style
-from oee_tabular.plots.grids import N_TEXT_CELLS, N_VECTOR_CELLS, label_axes
+from oee_tabular.plots.grids import N_TEXT_CELLS, N_VECTOR_CELLS, frame_map
 from oee_tabular.plots.maps import Map, map_of
 from oee_tabular.plots.style import INK, PAPER
 from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
@@ -408,9 +408,5 @@ def draw_cells(mdp: FiniteMDP, places: Map, ax: Axes | None) -> Axes:
             # low in its cell, where no mark covers it
             look: dict[str, Any] = {"ha": "center", "va": "bottom", "color": INK}
             ax.text(column + 0.5, row + 0.95, "end", fontsize=8.0, **look)
-    ax.set(
-        xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
-    )
-    label_axes(ax, places)
-    ax.spines[:].set_visible(False)
+    frame_map(ax, places)
     return ax
