@@ -219,8 +219,8 @@ class OutputOptions:
         typer.Option(
             "--output",
             metavar="FOLDER",
-            help="Folder for report.json, table.csv and values.png, .pdf, .svg; those of"
-            " the last run are replaced.",
+            help="Folder for report.json, table.csv and values.png, .pdf, .svg; those"
+            " of the last run are replaced.",
             rich_help_panel=OUTPUT,
         ),
     ] = None

@@ -255,7 +255,8 @@ def export(
         typer.Option(
             "--samples-per-pair",
             metavar="N",
-            help="Number of samples of each state-action pair of a stepped environment.",
+            help="Number of samples of each state-action pair of a stepped"
+            " environment.",
             rich_help_panel=INPUT,
         ),
     ] = None,
@@ -321,7 +322,8 @@ def counts(
         list[str],
         typer.Argument(
             metavar="FILE...",
-            help="Files (.parquet, .csv, .csv.gz, .npz), folders or patterns of one log.",
+            help="Files (.parquet, .csv, .csv.gz, .npz), folders or patterns of one"
+            " log.",
             rich_help_panel=INPUT,
         ),
     ],
@@ -341,7 +343,8 @@ def counts(
         typer.Option(
             "--kept-moves",
             metavar="N",
-            help="Transitions of whole random episodes to keep for importance sampling.",
+            help="Transitions of whole random episodes to keep for importance"
+            " sampling.",
             rich_help_panel=INPUT,
         ),
     ] = 200_000,

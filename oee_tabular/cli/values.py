@@ -143,7 +143,8 @@ def compare(
         bool,
         typer.Option(
             "--expect-best",
-            help="End with exit code 3 unless the first policy is found to be the best.",
+            help="End with exit code 3 unless the first policy is found to be the"
+            " best.",
             rich_help_panel=OUTPUT,
         ),
     ] = False,
@@ -259,7 +260,8 @@ def plan(
         typer.Option(
             "--minus",
             metavar="SPEC",
-            help="Policy that runs now: plan for the gains over it, not for the values.",
+            help="Policy that runs now: plan for the gains over it, not for the"
+            " values.",
             rich_help_panel=INPUT,
         ),
     ] = None,
