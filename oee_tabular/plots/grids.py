@@ -1,4 +1,4 @@
-"""Heat maps of states that lie on a grid: values, ratios, recorded and expected visits."""
+"""Heat maps of states on a grid: values, ratios, recorded and expected visits."""
 
 from __future__ import annotations
 
