@@ -506,7 +506,7 @@ class Grams:
         return self._fit(fits, np.tensordot(weights, self.g, axes=1))
 
     def _fit(self, fits: Sequence[Fit], gram: Array) -> list[Fit]:
-        """Return the fits with the coefficients that a weighted sum over groups gives."""
+        """Return the fits with the coefficients of a weighted sum over groups."""
         return [
             replace(
                 fit,
@@ -521,7 +521,8 @@ class Grams:
 def _added_error(w: Array, cross: Array, inner: Array) -> Array:
     """Compute w'G_CC w - 2 w'G_Cy of groups and targets, (g, k).
 
-    Coefficients ``w`` are (p, k), ``cross`` G_Cy is (g, p, k), ``inner`` G_CC (g, p, p).
+    Coefficients ``w`` are (p, k), ``cross`` G_Cy is (g, p, k) and ``inner`` G_CC is
+    (g, p, p).
     """
     return np.asarray(np.einsum("pk,gpk->gk", w, inner @ w - 2.0 * cross))
 
@@ -551,9 +552,9 @@ def draw_groups(n_groups: int, seed: Seed) -> Array:
 def _choose_simplest(errors: Array, equal: float) -> tuple[int, float]:
     """Return the first candidate within a standard error of the best, and its t.
 
-    ``errors`` (candidates, groups) are sums of squares, those of g = 0 first. Candidates
-    whose errors differ by at most ``equal`` are as good. t is by how many standard
-    errors, over groups, the chosen one is better than g = 0.
+    ``errors`` (candidates, groups) are sums of squares, those of g = 0 first.
+    Candidates whose errors differ by at most ``equal`` are as good. t is by how many
+    standard errors, over groups, the chosen one is better than g = 0.
     """
     root = np.sqrt(errors.shape[1])
     excess = errors - errors[errors.sum(axis=1).argmin()]

@@ -246,8 +246,8 @@ def _require_no_premises(**premises: object) -> None:
         if value is not None:
             raise ArgumentError(
                 name,
-                "must be left out without cells: it is about the transitions of a finite"
-                " simulator",
+                "must be left out without cells: it is about the transitions of a"
+                " finite simulator",
             )
 
 

@@ -421,7 +421,7 @@ class _Found:
         )
 
     def refine(self) -> _Request | None:
-        """Return the request with finer actions, if a value needs and all can have them.
+        """Return the request with finer actions, if a value needs them and all can.
 
         What is given by the numbers of the actions cannot, nor can a log that has only
         these actions: what the target does under others was never recorded.

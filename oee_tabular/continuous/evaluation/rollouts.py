@@ -45,8 +45,8 @@ BEYOND = (
     " correction is a guess there, and no interval counts its error."
 )
 GUESSED = (
-    "{} of the policy's transitions start outside the range of the recorded states, where"
-    " the correction is a guess"
+    "{} of the policy's transitions start outside the range of the recorded states,"
+    " where the correction is a guess"
 )
 
 Row: TypeAlias = Callable[[StatePolicy], Estimate]
