@@ -7,9 +7,9 @@ counts the rollouts and the log, see ``corrected_value``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -48,8 +48,6 @@ GUESSED = (
     "{} of the policy's transitions start outside the range of the recorded states,"
     " where the correction is a guess"
 )
-
-Row: TypeAlias = Callable[[StatePolicy], Estimate]
 
 
 @dataclass(frozen=True)
