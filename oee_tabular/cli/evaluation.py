@@ -1,17 +1,17 @@
-"""The work of ``oee evaluate``: its options as data, checked and carried out."""
+"""The work of ``oee evaluate``: its options checked and carried out."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _writing
 from oee_tabular._arguments import literal, named_specs
+from oee_tabular.cli.evaluation_options import Asked
 from oee_tabular.cli.inputs import (
     count_log_files,
     policies_of,
@@ -35,75 +35,6 @@ if TYPE_CHECKING:
 
 # what these options are when they are not given
 DEFAULTS = (None, 0.0, "refuse", "simulator")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """Hold the options of ``oee evaluate`` that a value depends on, as they are given.
-
-    The names are those of the options, whose help says what they are.
-    """
-
-    simulator: str | None
-    log: list[str] | None
-    column: list[str] | None
-    policy: list[str] | None
-    history: str
-    fit: str | None
-    behavior: str | None
-    target: str | None
-    initial: str | None
-    action_noise: float
-    impossible: str
-    trials: str | None
-    success: list[str] | None
-    features: Path | None
-    tie: Path | None
-    grid: str | None
-    task_option: list[str] | None
-    box: str | None
-    horizon: int | None
-    discount: float | None
-    normalized: bool | None
-    estimators: str | None
-    rewards: str
-    confidence: float
-    guaranteed: bool | None
-    unrecorded: str | None
-    interval_seconds: float | None
-    seed: int
-
-    @property
-    def is_quick(self) -> bool:
-        """Return whether --quick is given."""
-        return self.guaranteed is False
-
-    @property
-    def for_files(self) -> dict[str, object]:
-        """Return the options that need a simulator with numbered states, and a log."""
-        return {
-            "--features": self.features,
-            "--tie": self.tie,
-            "--box": self.box,
-            "--action-noise": self.action_noise,
-            "--initial": self.initial,
-            "--impossible": self.impossible,
-            "--trials": self.trials,
-            "--success": self.success,
-        }
-
-    @property
-    def common(self) -> dict[str, Any]:
-        """Return the keyword arguments that every kind of evaluation has."""
-        names = None if self.estimators is None else _split_names(self.estimators)
-        return {
-            "confidence": self.confidence,
-            "seed": self.seed,
-            "guaranteed": self.guaranteed is True,
-            "quick": self.is_quick,
-            "estimators": names,
-            "normalized": bool(self.normalized),
-        }
 
 
 def evaluate_asked(asked: Asked, show: Callable[[Report], object] | None) -> Report:
@@ -325,12 +256,6 @@ def _is_place_of_page(page: Path, text: str) -> bool:
     """Say whether a page is there, or, of a text like a=b/c.html, its folder is."""
     has_folder = "=" in str(Path(text).parent) and page.parent.is_dir()
     return page.is_file() or has_folder
-
-
-def _split_names(text: str) -> list[str]:
-    """Split names at commas."""
-    parts = [part.strip() for part in text.split(",")]
-    return [part for part in parts if part]
 
 
 def _refuse_task_options(

@@ -255,7 +255,8 @@ def export(
         typer.Option(
             "--samples-per-pair",
             metavar="N",
-            help="Number of samples of each state-action pair of a stepped environment.",
+            help="Number of samples of each state-action pair of a stepped"
+            " environment.",
             rich_help_panel=INPUT,
         ),
     ] = None,
@@ -321,7 +322,8 @@ def counts(
         list[str],
         typer.Argument(
             metavar="FILE...",
-            help="Files (.parquet, .csv, .csv.gz, .npz), folders or patterns of one log.",
+            help="Files (.parquet, .csv, .csv.gz, .npz), folders or patterns of one"
+            " log.",
             rich_help_panel=INPUT,
         ),
     ],
@@ -341,7 +343,8 @@ def counts(
         typer.Option(
             "--kept-moves",
             metavar="N",
-            help="Transitions of whole random episodes to keep for importance sampling.",
+            help="Transitions of whole random episodes to keep for importance"
+            " sampling.",
             rich_help_panel=INPUT,
         ),
     ] = 200_000,
@@ -474,6 +477,11 @@ def describe_files(
         raise ArgumentError(
             "columns", f"must be left out for {file!r}, which is no table"
         )
+    return _describe_arrays(file)
+
+
+def _describe_arrays(file: str) -> tuple[str, str]:
+    """Return what kind of thing a file of arrays holds, and say what."""
     arrays = _files.read_npz(file)
     kind = _files.npz_kind(arrays)
     if kind == "transitions":

@@ -106,12 +106,8 @@ def improve(
     It prints a gain with its certified lower end, or what to record first. The exit
     code is 3 where nothing is to be deployed.
     """
-    from oee_tabular.report import new_page
-
     _require_numbered_states(simulator)
-    page = None
-    if report is not None:
-        page = new_page(report, "--report", overwrite=overwrite)
+    page = _check_page(report, overwrite=overwrite)
     factor = _read_factor(unrecorded)
     known: dict[str, Any] = read_box(box)
     task, problem = read_problem(
@@ -148,6 +144,15 @@ def _require_numbered_states(simulator: str) -> None:
             f"must have numbered states to improve a policy; {simulator!r} is"
             " continuous: oee evaluate",
         )
+
+
+def _check_page(report: str | None, *, overwrite: bool) -> _writing.Output | None:
+    """Check that the page can be written; None where none is asked for."""
+    from oee_tabular.report import new_page
+
+    if report is None:
+        return None
+    return new_page(report, "--report", overwrite=overwrite)
 
 
 def _read_factor(unrecorded: str) -> float:

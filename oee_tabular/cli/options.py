@@ -52,7 +52,8 @@ SimulatorArgument = Annotated[
 _LOG = typer.Option(
     "--log",
     metavar="FILE",
-    help="Log of the target, repeatable: .npz, .csv, .csv.gz, .parquet, folder or Minari id.",
+    help="Log of the target, repeatable: .npz, .csv, .csv.gz, .parquet, folder or"
+    " Minari id.",
     rich_help_panel=INPUT,
 )
 LogOption = Annotated[list[str], _LOG]
@@ -124,7 +125,8 @@ SuccessOption = Annotated[
     typer.Option(
         "--success",
         metavar="STATE",
-        help="State whose entering is success, repeatable: the value is its probability.",
+        help="State whose entering is success, repeatable: the value is its"
+        " probability.",
         rich_help_panel=INPUT,
     ),
 ]
@@ -240,7 +242,8 @@ OverwriteOption = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace a file that exists (a link or a Minari folder is never replaced).",
+        help="Replace a file that exists (a link or a Minari folder is never"
+        " replaced).",
         rich_help_panel=OUTPUT,
     ),
 ]

@@ -109,7 +109,7 @@ def require_commas(path: str) -> None:
 
 
 def drop_index(frame: Any) -> Any:
-    """Return a table without the index of pandas, a column 0, 1, 2, ... without name."""
+    """Return a table without the index of pandas, a nameless column 0, 1, 2, ..."""
     for label in list(frame.columns)[:2]:
         values = frame[label].to_numpy()
         is_index = INDEX.fullmatch(str(label)) is not None
@@ -196,9 +196,9 @@ def _settle(
             raise ArgumentError(
                 name,
                 "must have columns whose meaning is clear;"
-                f" {_checks.show(label)} holds numbers from 0 to 1 (call it probability,"
-                " or by the action's name, if these are the policy's, else leave it out"
-                f" of the file){suggest_label(label, list(mdp.action_names or ()))}",
+                f" {_checks.show(label)} holds numbers from 0 to 1 (call it"
+                " probability, or by the action's name, if these are the policy's, else"
+                f" leave it out of the file){suggest_label(label, list(mdp.action_names or ()))}",
             )
     warn_read_as(name, [pair for pair in renamed if pair[0] != pair[1]], option="")
     warn_left_out(repr(name.strip("'")), left, of="policy")

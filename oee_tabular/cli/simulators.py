@@ -1,4 +1,4 @@
-"""Simulators from CSV tables: of samples, or of transitions with their probabilities."""
+"""Simulators from CSV tables of samples, or of transitions with probabilities."""
 
 from __future__ import annotations
 

@@ -12,13 +12,14 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files, _progress, _writing
 from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.evaluation import (
-    Asked,
     evaluate_asked,
     read_knob,
     read_outputs,
     refuse_beside_quick,
     write_report,
 )
+from oee_tabular.cli.evaluation_options import Asked, OutputOptions
+from oee_tabular.cli.groups import take_groups
 from oee_tabular.cli.inputs import (
     policies_of,
     policy_of,
@@ -43,8 +44,6 @@ from oee_tabular.cli.options import (
     JobsOption,
     JsonOption,
     LogOption,
-    OptionalLogOption,
-    OptionalSimulatorOption,
     OverwriteFolderOption,
     OverwriteOption,
     PoliciesOption,
@@ -52,8 +51,6 @@ from oee_tabular.cli.options import (
     SeedOption,
     SimulatorOption,
     SlidesOption,
-    SuccessOption,
-    TrialsOption,
     UnrecordedOption,
     print_result,
     say,
@@ -72,224 +69,41 @@ PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solve
 NOT_THE_BEST = 3
 
 
-def evaluate(
-    *,
-    simulator: OptionalSimulatorOption = None,
-    log: OptionalLogOption = None,
-    column: ColumnOption = None,
-    policy: PoliciesOption = None,
-    history: Annotated[
-        str,
-        typer.Option(
-            "--history",
-            metavar="STEPS",
-            help="Last actions in a continuous task's state: a number, or auto.",
-            rich_help_panel=INPUT,
-        ),
-    ] = "auto",
-    fit: Annotated[
-        str | None,
-        typer.Option(
-            "--fit",
-            metavar="NAME,...",
-            help="Parameters of a continuous task that are fitted to the log first.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    behavior: Annotated[
-        str | None,
-        typer.Option(
-            "--behavior",
-            metavar="SPEC",
-            help="Policy that recorded the log.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            "--target",
-            metavar="SIM",
-            help="The true target, to show errors.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    initial: InitialOption = None,
-    action_noise: ActionNoiseOption = 0.0,
-    impossible: ImpossibleOption = "refuse",
-    trials: TrialsOption = None,
-    success: SuccessOption = None,
-    features: Annotated[
-        Path | None,
-        typer.Option(
-            "--features",
-            metavar="FILE",
-            help="Your own features of transitions; adds the row oee-features.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    tie: Annotated[
-        Path | None,
-        typer.Option(
-            "--tie",
-            metavar="FILE",
-            help="Keys of transitions that share a ratio; adds the row oee-tied.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    grid: Annotated[
-        str | None,
-        typer.Option(
-            "--grid",
-            metavar="CELLS",
-            help="Add rows on a finite MDP: 60x60, 3000 or auto.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    task_option: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--task-option",
-            metavar="NAME=VALUE",
-            help=(
-                "Setting of a continuous task, repeatable: outside, strict,"
-                " calibration, floor, simulations, state or actions."
-            ),
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    box: BoxOption = None,
-    horizon: HorizonOption = None,
-    discount: DiscountOption = None,
-    normalized: Annotated[
-        bool | None,
-        typer.Option(
-            "--normalized/--raw",
-            help="Multiply values by (1 - discount), or not.",
-            rich_help_panel=VALUE,
-        ),
-    ] = None,
-    estimators: Annotated[
-        str | None,
-        typer.Option(
-            "--estimators",
-            metavar="NAME,...",
-            help="Names of estimators, comma-separated.",
-            rich_help_panel=VALUE,
-        ),
-    ] = None,
-    rewards: RewardsOption = "simulator",
-    confidence: ConfidenceOption = 0.95,
-    guaranteed: Annotated[
-        bool | None,
-        typer.Option(
-            "--guaranteed/--quick",
-            help="Add guaranteed intervals, or leave out likelihood ones; by default"
-            " neither.",
-            rich_help_panel=VALUE,
-        ),
-    ] = None,
-    unrecorded: UnrecordedOption = None,
-    interval_seconds: IntervalSecondsOption = None,
-    seed: SeedOption = 0,
-    show_all: Annotated[
-        bool,
-        typer.Option(
-            "--all",
-            help="Print the rows that a short report leaves out.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option(
-            "--verbose",
-            help="Print every note and row, and diagnostics.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            metavar="FOLDER",
-            help="Folder for report.json, table.csv and values.png, .pdf, .svg; those of"
-            " the last run are replaced.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    slides: SlidesOption = False,
-    report: Annotated[
-        str | None,
-        typer.Option(
-            "--report",
-            metavar="FILE.html",
-            help="One self-contained page, for people who did not run the command.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    overwrite: OverwriteFolderOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@take_groups
+def evaluate(asked: Asked, shown: OutputOptions) -> None:
     """Estimate the value of policies in the target.
 
     It takes a simulator and a log of the target. Without arguments, it evaluates the
     paper's 10 x 10 grid.
     """
-    if slides and output is None:
+    if shown.slides and shown.output is None:
         raise ArgumentError(
             "--slides", "must be given with --output, whose pictures it draws"
         )
-    title, outputs = read_outputs(output, report, overwrite=overwrite)
-    asked = Asked(
-        simulator=simulator,
-        log=log,
-        column=column,
-        policy=policy,
-        history=history,
-        fit=fit,
-        behavior=behavior,
-        target=target,
-        initial=initial,
-        action_noise=action_noise,
-        impossible=impossible,
-        trials=trials,
-        success=success,
-        features=features,
-        tie=tie,
-        grid=grid,
-        task_option=task_option,
-        box=box,
-        horizon=horizon,
-        discount=discount,
-        normalized=normalized,
-        estimators=estimators,
-        rewards=rewards,
-        confidence=confidence,
-        guaranteed=guaranteed,
-        unrecorded=unrecorded,
-        interval_seconds=interval_seconds,
-        seed=seed,
-    )
+    title, outputs = read_outputs(shown.output, shown.report, overwrite=shown.overwrite)
     is_shown: list[bool] = []
+
+    def write(report: Report) -> str:
+        """Return a report as text."""
+        return report.to_text(all=shown.show_all, verbose=shown.verbose)
 
     def show(report: Report) -> None:
         """Print the report of a large problem before its intervals are known."""
         is_shown.append(True)
-        say(report.to_text(all=show_all, verbose=verbose))
+        say(write(report))
 
-    made = evaluate_asked(asked, None if as_json else show)
-    record = made.to_dict() if as_json else {}
-    shown = made.to_text(all=show_all, verbose=verbose)
+    made = evaluate_asked(asked, None if shown.as_json else show)
+    record = made.to_dict() if shown.as_json else {}
+    text = write(made)
     if is_shown:
-        shown = f"\n{oee.report.render_intervals(made, verbose=verbose)}"
+        text = f"\n{oee.report.render_intervals(made, verbose=shown.verbose)}"
     try:
-        print_result(shown, record, as_json)
+        print_result(text, record, shown.as_json)
     finally:
         # the files are written whatever becomes of standard output
-        with slides_if(slides):
+        with slides_if(shown.slides):
             written = write_report(made, outputs, title)
-    if written and not as_json:
+    if written and not shown.as_json:
         say(f"\nWritten: {', '.join(map(str, written))}")
 
 
@@ -329,7 +143,8 @@ def compare(
         bool,
         typer.Option(
             "--expect-best",
-            help="End with exit code 3 unless the first policy is found to be the best.",
+            help="End with exit code 3 unless the first policy is found to be the"
+            " best.",
             rich_help_panel=OUTPUT,
         ),
     ] = False,
@@ -348,7 +163,7 @@ def compare(
     It prints differences with their intervals and P(best), or says that the log cannot
     tell.
     """
-    from oee_tabular.report import contest_showing, render_comparison
+    from oee_tabular.report import contest_showing
 
     _require_contest(simulator, policy)
     refuse_beside_quick(quick, box, unrecorded, interval_seconds)
@@ -367,7 +182,7 @@ def compare(
 
     def show(report: Report) -> None:
         """Print the answer of a large problem before its intervals are known."""
-        say(f"{render_comparison(report, verbose=verbose)}\n")
+        say(f"{oee.report.render_comparison(report, verbose=verbose)}\n")
 
     report = contest_showing(
         problem,
@@ -377,9 +192,8 @@ def compare(
         quick=quick,
         **known,
     )
-    warnings = [str(finding) for finding in problem.findings]
-    shown = render_comparison(report, verbose=verbose)
-    print_result(shown, _record_contest(report, warnings), as_json)
+    shown = oee.report.render_comparison(report, verbose=verbose)
+    print_result(shown, _record_contest(report, problem.findings), as_json)
     if expect_best and report.best != next(iter(report.policies)):
         raise typer.Exit(NOT_THE_BEST)
 
@@ -400,7 +214,7 @@ def _require_contest(simulator: str, policy: list[str]) -> None:
         )
 
 
-def _record_contest(report: Report, warnings: Sequence[str]) -> dict[str, Any]:
+def _record_contest(report: Report, findings: Sequence[object]) -> dict[str, Any]:
     """Return what ``oee compare --json`` prints."""
     rows = report.comparison()
     return {
@@ -409,7 +223,7 @@ def _record_contest(report: Report, warnings: Sequence[str]) -> dict[str, Any]:
         "sentence": report.headline,
         "policies": rows,
         "differences": [_difference(row, rows[0]["policy"]) for row in rows[1:]],
-        "warnings": warnings,
+        "warnings": [str(finding) for finding in findings],
     }
 
 
@@ -446,7 +260,8 @@ def plan(
         typer.Option(
             "--minus",
             metavar="SPEC",
-            help="Policy that runs now: plan for the gains over it, not for the values.",
+            help="Policy that runs now: plan for the gains over it, not for the"
+            " values.",
             rich_help_panel=INPUT,
         ),
     ] = None,

@@ -267,44 +267,26 @@ def evaluate_files(
     """Evaluate policies by a continuous simulator and a log of continuous states.
 
     ``options`` are made by ``task_options``, ``grid`` by ``read_grid``; ``columns`` is
-    what the log's files call its columns; ``common`` is what ``evaluate_continuous`` takes.
+    what the log's files call its columns; ``common`` is what ``evaluate_continuous``
+    takes.
     """
     from oee_tabular.continuous.evaluation.evaluate import evaluate_continuous
     from oee_tabular.continuous.evaluation.simulator import Settings
     from oee_tabular.continuous.log.transitions import ContinuousTransitions
-    from oee_tabular.mdp import read_policy_array
 
     recorded = ContinuousTransitions.load(log, columns=columns)
     state = options.get("state")
     actions = options.get("actions")
-    is_gymnasium = spec.partition(":")[0] not in CONTINUOUS
-    if is_gymnasium and actions is None and recorded.action.ndim == 2:
-        commands = np.unique(recorded.action, axis=0)
-        actions = commands.tolist() if len(commands) <= MAX_COMMANDS else None
+    if actions is None and _is_gymnasium(spec):
+        actions = _commands_of(recorded)
     simulator = continuous_simulator(spec, state=state, actions=actions)
-    has_only_numbers = simulator.task.actions.ndim == 2 and recorded.action.ndim == 1
-    if is_gymnasium and actions is None and has_only_numbers:
-        raise ArgumentError(
-            "--task-option actions",
-            f"must be given for {simulator.task.name}, whose actions are commands: the"
-            " log has their numbers alone",
-        )
+    if actions is None and _is_gymnasium(spec):
+        _require_commands(recorded, simulator)
     if target is not None and not is_continuous(target):
         raise ArgumentError(
             "--target", f"must be a continuous task as the simulator is; got {target!r}"
         )
-    if policy is None and simulator.expert is None:
-        raise ArgumentError(
-            "--policy",
-            f"must be given for {simulator.task.name}, which has no expert: uniform or"
-            " MODULE:FUNCTION",
-        )
-    policies: dict[str, Any] = {}
-    for label, source in named_specs(policy or ["expert"]).items():
-        if grid is not None and _is_array_file(source):
-            policies[label] = read_policy_array(source, name="--policy")
-        else:
-            policies[label] = _find_policy(source, simulator, "--policy")
+    policies = _find_policies(policy, simulator, has_cells=grid is not None)
     other = ("state", "actions", "simulations")
     settings = {name: value for name, value in options.items() if name not in other}
     behavior_policy = None
@@ -323,6 +305,58 @@ def evaluate_files(
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
     )
+
+
+def _is_gymnasium(spec: str) -> bool:
+    """Return whether a simulator is none of ours, but Gymnasium's."""
+    return spec.partition(":")[0] not in CONTINUOUS
+
+
+def _commands_of(log: ContinuousTransitions) -> list[Any] | None:
+    """Return the different commands of a log, which are then the task's actions.
+
+    Returns None where the log has numbers of actions, or too many commands.
+    """
+    if log.action.ndim == 1:
+        return None
+    commands = np.unique(log.action, axis=0)
+    return commands.tolist() if len(commands) <= MAX_COMMANDS else None
+
+
+def _require_commands(
+    log: ContinuousTransitions, simulator: ContinuousSimulator
+) -> None:
+    """Refuse a log of numbers for a task whose actions are commands."""
+    if simulator.task.actions.ndim == 2 and log.action.ndim == 1:
+        raise ArgumentError(
+            "--task-option actions",
+            f"must be given for {simulator.task.name}, whose actions are commands: the"
+            " log has their numbers alone",
+        )
+
+
+def _find_policies(
+    given: list[str] | None, simulator: ContinuousSimulator, *, has_cells: bool
+) -> dict[str, Any]:
+    """Return the policies of ``--policy`` by name; without it, the expert.
+
+    On cells a file's probabilities are those of the cells.
+    """
+    from oee_tabular.mdp import read_policy_array
+
+    if given is None and simulator.expert is None:
+        raise ArgumentError(
+            "--policy",
+            f"must be given for {simulator.task.name}, which has no expert: uniform or"
+            " MODULE:FUNCTION",
+        )
+    policies: dict[str, Any] = {}
+    for label, source in named_specs(given or ["expert"]).items():
+        if has_cells and _is_array_file(source):
+            policies[label] = read_policy_array(source, name="--policy")
+        else:
+            policies[label] = _find_policy(source, simulator, "--policy")
+    return policies
 
 
 def record_log(

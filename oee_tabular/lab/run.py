@@ -628,8 +628,8 @@ def _compute(
             if attempt == MAX_ATTEMPTS:
                 first = "; ".join(str(dict(cell)) for cell in list(left.values())[:3])
                 raise RuntimeError(
-                    f"a worker was killed {MAX_ATTEMPTS} times in a row without a finished"
-                    f" cell; unfinished: {first}"
+                    f"a worker was killed {MAX_ATTEMPTS} times in a row without a"
+                    f" finished cell; unfinished: {first}"
                 ) from error
 
 

@@ -31,7 +31,7 @@ HOLD_SECONDS = 2.0  # for which the last picture stands
 
 
 class Walk(NamedTuple):
-    """Hold an episode: the points (x, y), (t + 1, 2), and the return at each of them."""
+    """Hold an episode: the points (x, y), (t + 1, 2), and the return at each."""
 
     points: Array
     returns: Array

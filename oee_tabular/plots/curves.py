@@ -13,6 +13,7 @@ from oee_tabular._results import conform
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots.style import (
     INK,
+    TRUTH,
     check_axes,
     check_texts,
     disable_math,
@@ -121,14 +122,17 @@ def plot_curves(
                 lw=0,
             )
     if line is not None:
-        ax.plot(
-            where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value"
-        )
+        ax.plot(where, line, label="true value", **TRUTH)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
     ax.grid(visible=True)
-    disable_math(ax.legend(fontsize="small").get_texts())
+    _add_legend(ax)
     return ax
+
+
+def _add_legend(ax: Axes) -> None:
+    """Write the names of the lines into a legend, as they are."""
+    disable_math(ax.legend(fontsize="small").get_texts())
 
 
 @suggest_keywords
@@ -199,7 +203,7 @@ def plot_errors(
         ax.plot(
             where, line, color=INK, lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}"
         )
-        disable_math(ax.legend(fontsize="small").get_texts())
+        _add_legend(ax)
     ax.set_xscale("log")
     ax.set_yscale("log")
     return ax

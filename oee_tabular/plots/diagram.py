@@ -1,4 +1,4 @@
-"""The problem in one picture: simulator, target, policy, log, and the value asked for."""
+"""The problem in one picture: simulator, target, policy, log, and value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Heat maps of states that lie on a grid: values, ratios, recorded and expected visits."""
+"""Heat maps of states on a grid: values, ratios, recorded and expected visits."""
 
 from __future__ import annotations
 
@@ -132,14 +132,10 @@ def plot_grid(
         edgecolor="face",
         rasterized=is_image,
     )
-    ax.set(
-        xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
-    )
+    frame_map(ax, places)
     _cross_out(ax, places, is_crossed, is_image)
     if max(rows, columns) <= (N_TEXT_CELLS_OF_SLIDE if has_slides() else N_TEXT_CELLS):
         _write(ax, mesh, cells, places, words)
-    label_axes(ax, places)
-    ax.spines[:].set_visible(False)
     bar = ax.figure.colorbar(
         mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label
     )
@@ -166,8 +162,16 @@ def _cross_out(ax: Axes, places: Map, is_crossed: BoolArray, is_image: bool) -> 
         )
 
 
-def label_axes(ax: Axes, places: Map) -> None:
-    """Write at most ten coordinates along each axis of a map."""
+def frame_map(ax: Axes, places: Map) -> None:
+    """Make axes those of a map: row 0 on top, square cells, no frame.
+
+    At most ten coordinates stand along each axis.
+    """
+    rows, columns = places.shape
+    ax.set(
+        xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
+    )
+    ax.spines[:].set_visible(False)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
         shown = range(0, len(called), -(-len(called) // 10))
         axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])

@@ -19,7 +19,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy, number_of
 from oee_tabular.plots import style
-from oee_tabular.plots.grids import N_TEXT_CELLS, N_VECTOR_CELLS, label_axes
+from oee_tabular.plots.grids import N_TEXT_CELLS, N_VECTOR_CELLS, frame_map
 from oee_tabular.plots.maps import Map, map_of
 from oee_tabular.plots.style import INK, PAPER
 from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
@@ -53,8 +53,8 @@ def require_map(mdp: FiniteMDP, name: str = "mdp") -> Map:
         raise ArgumentError(
             name,
             f"must have states on a grid; its {mdp.n_states} states have no"
-            " (row, column) of even steps, one state a place (mdp.with_layout(layout), or"
-            " FiniteMDP(..., layout=), says where they lie)",
+            " (row, column) of even steps, one state a place (mdp.with_layout(layout),"
+            " or FiniteMDP(..., layout=), says where they lie)",
         )
     return found
 
@@ -74,8 +74,8 @@ def plot_policy(mdp: FiniteMDP, policy: PolicyLike, ax: Axes | None = None) -> A
     policy : array_like of shape (S, A), or one that ``policy_value`` takes
         Probabilities of the actions in each state.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; over the picture of ``plot_grid``, for example. On empty axes, and
-        on the new ones that None makes, the cells are drawn first.
+        Where to draw; over the picture of ``plot_grid``, for example. On empty axes,
+        and on the new ones that None makes, the cells are drawn first.
 
     Returns
     -------
@@ -255,8 +255,8 @@ def plot_paths(
         A log with episodes; or one path, its states by number or name; or a list of
         such lists.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; over the picture of ``plot_grid``, for example. On empty axes, and
-        on the new ones that None makes, the cells are drawn first.
+        Where to draw; over the picture of ``plot_grid``, for example. On empty axes,
+        and on the new ones that None makes, the cells are drawn first.
     max_paths : int, default 20
         How many paths are drawn, the first ones; the label below the picture says where
         there are more.
@@ -408,9 +408,5 @@ def draw_cells(mdp: FiniteMDP, places: Map, ax: Axes | None) -> Axes:
             # low in its cell, where no mark covers it
             look: dict[str, Any] = {"ha": "center", "va": "bottom", "color": INK}
             ax.text(column + 0.5, row + 0.95, "end", fontsize=8.0, **look)
-    ax.set(
-        xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
-    )
-    label_axes(ax, places)
-    ax.spines[:].set_visible(False)
+    frame_map(ax, places)
     return ax

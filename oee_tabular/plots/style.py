@@ -67,6 +67,9 @@ INK = "#1b1f23"
 QUIET = "#8b9198"
 PAPER = "#fdfdfe"
 
+# the dashed line of what is true
+TRUTH: dict[str, Any] = {"color": INK, "lw": 1.2, "ls": (0, (4, 2)), "zorder": 1}
+
 
 def series(k: int) -> dict[str, Any]:
     """Return colour, marker and line of the k-th series.

@@ -359,8 +359,7 @@ def _draw_truth(
 ) -> None:
     """Draw the true value of a group as a dashed line, with its text above."""
     top, bottom = heights
-    dashes = (0, (4, 2))
-    ax.plot([x, x], [top + 0.35, bottom + 0.4], color=INK, lw=1.2, ls=dashes, zorder=1)
+    ax.plot([x, x], [top + 0.35, bottom + 0.4], **style.TRUTH)
     quarter = int(4.0 * (x - span[0]) / (span[1] - span[0]))
     side = ("left", "center", "center", "right", "right")[quarter]
     ax.text(x, top, text, ha=side, va="center", fontsize="small")

@@ -1,7 +1,7 @@
 """The columns of a report's tables: titles, cells and meanings, in one list each.
 
-Terminal, notebook and page choose columns by title. A cell is the same text in each; the
-page and the notebook lay it out otherwise.
+Terminal, notebook and page choose columns by title. A cell is the same text in each;
+the page and the notebook lay it out otherwise.
 """
 
 from __future__ import annotations

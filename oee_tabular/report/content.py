@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from oee_tabular.report.results import Report
 
 Record = dict[str, Any]
-# of half an interval: rewards of the log that change a value by less are not named first
+# of half an interval: rewards of the log that change a value by less are not named
+# first
 NEGLIGIBLE_SHARE = 0.05
 # columns of the report's own that (1 - discount) multiplies; diagnostics know theirs
 VALUES = {

@@ -66,7 +66,8 @@ from oee_tabular.typing import Array, PoliciesLike, SeedNumbers
 # transitions of a simulator from which on a command shows the report before the
 # intervals
 MIN_LARGE_TRANSITIONS = 200_000
-# the least limit of the time in which a command searches for a large problem's intervals
+# the least limit of the time in which a command searches for a large problem's
+# intervals
 MIN_INTERVAL_SECONDS = 30.0
 # what the rows of trials alone, and of log and trials together, are called
 TRIALS = "trials"

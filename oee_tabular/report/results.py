@@ -462,9 +462,9 @@ class Report:
         """Write report.json, table.csv and a picture of the values: all or none.
 
         The picture is values.png, values.pdf and values.svg; inside ``plots.slides()``
-        it is a slide. Files of these names are replaced. report.json is ``to_dict`` with one field
-        more: ``files``, the SHA-256 of each file by its name (its own is that of the
-        JSON without it).
+        it is a slide. Files of these names are replaced. report.json is ``to_dict``
+        with one field more: ``files``, the SHA-256 of each file by its name (its own is
+        that of the JSON without it).
 
         Parameters
         ----------

@@ -19,9 +19,9 @@ MIN_COVERAGE = 0.5
 METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": (
         "value ± normal quantile × standard error, widened by what state-action pairs"
-        " that were never recorded can change if they differ from the estimate by at most"
-        " a factor (unrecorded=, --unrecorded). With the factor inf: every value that the"
-        " log does not reject."
+        " that were never recorded can change if they differ from the estimate by at"
+        " most a factor (unrecorded=, --unrecorded). With the factor inf: every value"
+        " that the log does not reject."
     ),
     "likelihood with trials": (
         "every value that log and trials together do not reject. Log and trials are one"
@@ -403,9 +403,9 @@ def test_of_simulator(
         )
     sign = "less" if z < 0 else "even more"
     whole = (
-        "The target differs from the simulator. Outcomes that are likely in the simulator"
-        f" are {sign} frequent in the target (z = {z:.1f} standard deviations, over all"
-        " recorded transitions together)."
+        "The target differs from the simulator. Outcomes that are likely in the"
+        f" simulator are {sign} frequent in the target (z = {z:.1f} standard"
+        " deviations, over all recorded transitions together)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
@@ -441,8 +441,8 @@ def distance_from_simulator(
     ]
     told = ", ".join(f"{write(part)} {where}" for part, where in parts)
     return (
-        f"The corrected simulator's value differs from the simulator's by {write(whole)}:"
-        f" {told}."
+        "The corrected simulator's value differs from the simulator's by"
+        f" {write(whole)}: {told}."
     )
 
 

@@ -48,8 +48,8 @@ MAX_TRANSITIONS = 10_000_000
 MIN_Z = 3.0
 # the share of all pairs' tests that may reject a correct simulator
 TEST_LEVEL = 0.05
-# the share of a policy's time in unrecorded pairs up to which a report does not say what
-# its interval lets them do
+# the share of a policy's time in unrecorded pairs up to which a report does not say
+# what its interval lets them do
 MAX_SHARE_UNTOLD = 0.01
 # of the value: a smaller standard error is rounding
 ERROR_TOLERANCE = 1e-12

@@ -143,7 +143,7 @@ def _outcomes_of(explorer: Explorer, number: IntArray) -> Outcomes:
 def _available_of(
     explorer: Explorer, number: IntArray, shape: tuple[int, int]
 ) -> BoolArray | None:
-    """Return the actions that can be taken in each state, None where no mask was met."""
+    """Return the actions that can be taken in each state; None if no mask was met."""
     if not explorer.masks:
         return None
     available = np.ones(shape, dtype=np.bool_)
@@ -359,8 +359,8 @@ class Explorer:
             if not mask.any():
                 raise ArgumentError(
                     place,
-                    f"must allow an action in state {seen}, which does not terminate the"
-                    " episode; it allows none",
+                    f"must allow an action in state {seen}, which does not terminate"
+                    " the episode; it allows none",
                 )
             if state in self.open or self._was_left(state):
                 raise ArgumentError(

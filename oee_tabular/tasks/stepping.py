@@ -75,14 +75,15 @@ def count_observations(env: Any) -> int | None:
     if not is_discrete(space):
         return None
     start = int(getattr(space, "start", 0))
+    size = int(space.n)  # type: ignore[union-attr]
     if start < 0:
         raise ArgumentError(
             "env.observation_space",
             f"must not begin below 0; it is {_checks.show(space)}"
             " (gymnasium.wrappers.TransformObservation(env, lambda s: s"
-            f" + {-start}, gymnasium.spaces.Discrete({space.n})))",  # type: ignore[union-attr]
+            f" + {-start}, gymnasium.spaces.Discrete({size})))",
         )
-    return start + int(space.n)  # type: ignore[union-attr]
+    return start + size
 
 
 def reset_environment(

@@ -63,8 +63,8 @@ def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
         hint = f"; near: {', '.join(near)}" if near else ""
         raise ArgumentError(
             "environment",
-            f"must be a task or a Gymnasium id; {_checks.show(identifier)} is neither{hint} (your"
-            " own: module:Class or module:EnvId-v0)",
+            f"must be a task or a Gymnasium id; {_checks.show(identifier)} is neither"
+            f"{hint} (your own: module:Class or module:EnvId-v0)",
         )
 
 

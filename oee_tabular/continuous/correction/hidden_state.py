@@ -93,9 +93,9 @@ def history_effects(
     rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
-    n_most = MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS
-    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[:n_most]
-    best = [HistoryEffect() for _ in residuals.T]
+    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)
+    rows = rows[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
+    best = [HistoryEffect()] * residuals.shape[1]
     if len(rows) < MIN_ROWS:
         return best
     # the last code stands for no action, as row -1 stands for no row
@@ -194,15 +194,18 @@ def _explain(
     plain = _errors_held_out([present], target, fold)
     total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
     gained = plain - _errors_held_out([present, *blocks.values()], target, fold)
-    shares: dict[Block, Array] = {}
-    for key, block in blocks.items():
+
+    def share_alone(block: Array) -> Array:
+        """Return the share of each target's squares that one block explains, (k,)."""
         alone = _errors_held_out([present, block], target, fold)
-        shares[key] = (plain - alone).sum(axis=0) / total
+        return np.asarray((plain - alone).sum(axis=0) / total)
+
+    shares = {key: share_alone(block) for key, block in blocks.items()}
     whole = gained.sum(axis=0) / total
     n_deviations = MIN_STANDARD_ERRORS * len(target) ** 0.5
     is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
     is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
-    effects = [HistoryEffect() for _ in whole]
+    effects = [HistoryEffect()] * len(whole)
     for number in np.flatnonzero(is_sure & is_large & (whole > 0)):
         k = int(number)
         (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])

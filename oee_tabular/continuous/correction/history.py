@@ -40,7 +40,8 @@ class HistoryTask(DerivedTask):
 
     Each of the last actions has A coordinates: 1 at its number and 0 elsewhere, or 0 in
     all before an episode. A logged command between the task's actions has its shares of
-    them instead, whose mean it is. The task's own coordinates, actions, rewards and units stay.
+    them instead, whose mean it is. The task's own coordinates, actions, rewards and
+    units stay.
 
     Parameters
     ----------

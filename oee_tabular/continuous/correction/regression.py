@@ -159,49 +159,51 @@ class Functions:
         self._commands = np.array(task.actions, dtype=np.float64).reshape(
             task.n_actions, -1
         )
-        smooth = task.smooth(states)
-        n_commands = self._commands.shape[1]
-        given = self._commands[actions] if commands is None else commands
-        raw = np.column_stack([smooth, given, displacement])
-        centre = raw.mean(axis=0)
-        scale = raw.std(axis=0)
-        moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
-        z = (raw[:, moving] - centre[moving]) / scale[moving]
-        alike = np.abs(z.T @ z) / len(z) > 1.0 - 1e-9
-        # no multiple of an earlier one
-        is_new = [not alike[i, :i].any() for i in range(len(moving))]
-        self._kept = kept = moving[is_new]
-        self._limits = np.stack(
-            [
-                raw.min(axis=0)[kept],
-                raw.max(axis=0)[kept],
-                centre[kept],
-                1.0 / scale[kept],
-            ]
-        )
-        m = len(kept)
-        n_x = int((kept < smooth.shape[1] + n_commands).sum())
+        raw = self._stack_inputs(states, actions, displacement, commands)
+        self._kept, self._limits = _choose_inputs(raw)
+        m = len(self._kept)
         n_waves = N_FREQUENCIES if m > 0 else 0
-        reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
-        self._frequencies = rng.standard_normal((m, n_waves)) * reach
-        self._phases = rng.uniform(0.0, 2.0 * np.pi, n_waves)
+        self._frequencies, self._phases = _draw_waves(m, n_waves, rng)
         first, second = np.triu_indices(m if m <= MAX_PAIRED_INPUTS else 0)
-        linear = np.arange(1 + m)
-        q = 1 + m + len(first)
         # 0 is the constant 1
         self._first = np.concatenate([np.zeros(1 + m, dtype=np.int64), first + 1])
-        self._second = np.concatenate([linear, second + 1])
-        self.width = q + n_waves
-        of_x = 1 + m + np.flatnonzero(second < n_x)
-        self.nested: dict[str, IntArray] = _drop_equal(
+        self._second = np.concatenate([np.arange(1 + m), second + 1])
+        self.width = len(self._first) + n_waves
+        is_of_x = self._kept < raw.shape[1] - displacement.shape[1]
+        self.nested: dict[str, IntArray] = self._nest(m, int(is_of_x.sum()))
+
+    def _stack_inputs(
+        self,
+        states: Array,
+        actions: IntArray,
+        displacement: Array,
+        commands: Array | None,
+    ) -> Array:
+        """Return the inputs side by side: smooth coordinates, commands, displacements.
+
+        ``commands`` (n, k) are those of the rows; None means those of their actions.
+        """
+        given = self._commands[actions] if commands is None else commands
+        return np.column_stack([self._task.smooth(states), given, displacement])
+
+    def _nest(self, m: int, n_x: int) -> dict[str, IntArray]:
+        """Return the columns of each class, the simplest first.
+
+        Of the ``m`` inputs the first ``n_x`` are coordinates and commands, the others
+        displacements. The second factor of a product is its later input.
+        """
+        linear = np.arange(1 + m)
+        of_x = linear[: 1 + n_x]
+        products_of_x = np.flatnonzero(self._second[1 + m :] <= n_x)
+        return _drop_equal(
             {
                 "zero": linear[:0],
                 "mean": linear[:1],
-                "linear": linear[: 1 + n_x],
+                "linear": of_x,
                 "displacement": np.delete(linear, np.arange(1, 1 + n_x)),
                 "linear, displacement": linear,
-                "quadratic": np.concatenate([linear[: 1 + n_x], of_x]),
-                "quadratic, displacement": np.arange(q),
+                "quadratic": np.concatenate([of_x, 1 + m + products_of_x]),
+                "quadratic, displacement": np.arange(len(self._second)),
                 "Fourier": np.arange(self.width),
             }
         )
@@ -217,8 +219,7 @@ class Functions:
 
         ``commands`` (n, k) are those of the rows; None means those of their actions.
         """
-        given = self._commands[actions] if commands is None else commands
-        raw = np.column_stack([self._task.smooth(states), given, displacement])
+        raw = self._stack_inputs(states, actions, displacement, commands)
         raw = raw[:, self._kept]
         low, high, centre, slope = self._limits
         z = (np.clip(raw, low, high) - centre) * slope
@@ -268,6 +269,31 @@ class Functions:
         return np.asarray(
             _predict(*rows, self._kept, self._limits, *functions, *waves, w, ends)
         )
+
+
+def _choose_inputs(raw: Array) -> tuple[IntArray, Array]:
+    """Return which inputs are used, and how they are standardised, (4, m).
+
+    Inputs that do not vary are left out, and multiples of an earlier one. Of each that
+    is used, the rows are the least, the most, the centre and 1 over the scale.
+    """
+    centre = raw.mean(axis=0)
+    scale = raw.std(axis=0)
+    moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
+    z = (raw[:, moving] - centre[moving]) / scale[moving]
+    alike = np.abs(z.T @ z) / len(z) > 1.0 - 1e-9
+    is_new = [not alike[i, :i].any() for i in range(len(moving))]
+    kept = moving[is_new]
+    low = raw.min(axis=0)
+    high = raw.max(axis=0)
+    return kept, np.stack([low[kept], high[kept], centre[kept], 1.0 / scale[kept]])
+
+
+def _draw_waves(m: int, n_waves: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw frequencies (m, n_waves) and phases of random cosines of ``m`` inputs."""
+    reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
+    frequencies = rng.standard_normal((m, n_waves)) * reach
+    return frequencies, rng.uniform(0.0, 2.0 * np.pi, n_waves)
 
 
 def _drop_equal(classes: dict[str, IntArray]) -> dict[str, IntArray]:
@@ -480,7 +506,7 @@ class Grams:
         return self._fit(fits, np.tensordot(weights, self.g, axes=1))
 
     def _fit(self, fits: Sequence[Fit], gram: Array) -> list[Fit]:
-        """Return the fits with the coefficients that a weighted sum over groups gives."""
+        """Return the fits with the coefficients of a weighted sum over groups."""
         return [
             replace(
                 fit,
@@ -495,7 +521,8 @@ class Grams:
 def _added_error(w: Array, cross: Array, inner: Array) -> Array:
     """Compute w'G_CC w - 2 w'G_Cy of groups and targets, (g, k).
 
-    Coefficients ``w`` are (p, k), ``cross`` G_Cy is (g, p, k), ``inner`` G_CC (g, p, p).
+    Coefficients ``w`` are (p, k), ``cross`` G_Cy is (g, p, k) and ``inner`` G_CC is
+    (g, p, p).
     """
     return np.asarray(np.einsum("pk,gpk->gk", w, inner @ w - 2.0 * cross))
 
@@ -525,9 +552,9 @@ def draw_groups(n_groups: int, seed: Seed) -> Array:
 def _choose_simplest(errors: Array, equal: float) -> tuple[int, float]:
     """Return the first candidate within a standard error of the best, and its t.
 
-    ``errors`` (candidates, groups) are sums of squares, those of g = 0 first. Candidates
-    whose errors differ by at most ``equal`` are as good. t is by how many standard
-    errors, over groups, the chosen one is better than g = 0.
+    ``errors`` (candidates, groups) are sums of squares, those of g = 0 first.
+    Candidates whose errors differ by at most ``equal`` are as good. t is by how many
+    standard errors, over groups, the chosen one is better than g = 0.
     """
     root = np.sqrt(errors.shape[1])
     excess = errors - errors[errors.sum(axis=1).argmin()]

@@ -157,15 +157,22 @@ def measure_scatter(
     near = None
     if is_drawn.any():
         found = _find_near(neighbors, states, rows)
-        judged = rng.permutation(len(e))[:N_JUDGED]
-        enough = np.bincount(kept_actions)[kept_actions[judged]] > N_NEIGHBORS
-        if _tell_of_each_other(e[:, is_drawn], found, judged[enough]):
+        judged = _draw_judged(kept_actions, rng)
+        if _tell_of_each_other(e[:, is_drawn], found, judged):
             near = _sort_near(found, order)
     weights = np.ones(len(e))
     pools = _pool_rows(rows, order, weights)
-    spread = own_noise.spread_with_reward
     return Scatter(
-        spread, is_own, is_drawn, e, order, rows, neighbors, near, weights, pools
+        own_noise.spread_with_reward,
+        is_own,
+        is_drawn,
+        residuals=e,
+        order=order,
+        rows=rows,
+        neighbors=neighbors,
+        near=near,
+        weights=weights,
+        pools=pools,
     )
 
 
@@ -297,6 +304,13 @@ def _find_near(
             found = neighbors.find(states[own], own, k, key=a).reshape(len(own), k)
             near[own] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]
     return near
+
+
+def _draw_judged(actions: IntArray, rng: np.random.Generator) -> IntArray:
+    """Draw the rows that are judged, of actions with enough rows for neighbours."""
+    judged = rng.permutation(len(actions))[:N_JUDGED]
+    has_neighbors = np.bincount(actions)[actions[judged]] > N_NEIGHBORS
+    return np.asarray(judged[has_neighbors])
 
 
 def _tell_of_each_other(residuals: Array, near: IntArray, some: IntArray) -> bool:

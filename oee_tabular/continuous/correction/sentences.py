@@ -31,7 +31,8 @@ def difference(corrected: ResidualSimulator) -> str:
     """Describe in which coordinates the target's steps differ from the simulator's."""
     changes = ", ".join(
         f"{c.name} (by {c.residual_scatter:.2g}, where the simulator's own noise is"
-        f" {c.simulator_scatter:.2g}; the correction removes {max(c.explained, 0.0):.1%})"
+        f" {c.simulator_scatter:.2g}; the correction removes"
+        f" {max(c.explained, 0.0):.1%})"
         for c in corrected.coordinates
         if c.differs
     )

@@ -578,10 +578,7 @@ def discretize(
         )
     if share == 0.0 and others is None:
         mixed = []
-    starts, mass = process.initial_points()
-    weights = places.cells.weights(process.features(starts))
-    inner = np.asarray(weights.T @ mass)
-    initial = np.append(inner / inner.sum(), np.zeros(int(process.terminates)))
+    initial = _initial_distribution(process, places)
     simulators = tuple(
         places.simulate(each, initial, discount) for each in (process, *mixed)
     )
@@ -609,6 +606,17 @@ def discretize(
     with warnings.catch_warnings(action="ignore"):
         counts = model.counts(log, outside="nearest")
     return replace(model, mdp=model.plain.with_support_of(counts, share))
+
+
+def _initial_distribution(task: ContinuousTask, places: Places) -> Array:
+    """Return the probability (S,) with which an episode begins in each state.
+
+    None begins in the last state, which is the end of a task that terminates.
+    """
+    starts, mass = task.initial_points()
+    weights = places.cells.weights(task.features(starts))
+    inner = np.asarray(weights.T @ mass)
+    return np.append(inner / inner.sum(), np.zeros(int(task.terminates)))
 
 
 def _check_ends(low: object, high: object, k: int) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular.continuous.evaluation.on_cells import OnCells
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import GUESSED, MAX_GUESSED_SHARE
-from oee_tabular.continuous.evaluation.rows import Row, Rows
+from oee_tabular.continuous.evaluation.rows import ReportRow, Rows
 from oee_tabular.continuous.evaluation.simulator import Calibration
 from oee_tabular.continuous.task.base import StatePolicy
 from oee_tabular.continuous.task.episodes import MonteCarlo
@@ -163,7 +163,7 @@ def assemble_on_cells(
         """Estimate the value of a policy's table on the cells, in the simulator."""
         return rows.simulate(known[np.asarray(table).tobytes()])
 
-    def on_tables(some: list[Row]) -> dict[str, Estimator]:
+    def on_tables(some: list[ReportRow]) -> dict[str, Estimator]:
         """Return rows as estimators of policies on the cells."""
         return {row.name: partial(_evaluate_table, row, known) for row in some}
 
@@ -223,7 +223,7 @@ def _doubt_values(report: Report, sentences: Sentences) -> tuple[str, tuple[str,
 
 
 def _evaluate_table(
-    row: Row,
+    row: ReportRow,
     known: Mapping[bytes, StatePolicy],
     problem: Problem,
     table: Array,
@@ -246,8 +246,8 @@ def _require_no_premises(**premises: object) -> None:
         if value is not None:
             raise ArgumentError(
                 name,
-                "must be left out without cells: it is about the transitions of a finite"
-                " simulator",
+                "must be left out without cells: it is about the transitions of a"
+                " finite simulator",
             )
 
 

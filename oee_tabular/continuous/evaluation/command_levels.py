@@ -1,16 +1,17 @@
 """How many levels the commands of a policy are given by, and what that does to values.
 
 A task has finitely many actions. A command between them is shared out among its
-neighbours so that its mean is kept (``CommandPolicy``), which adds a variance that grows
-with the square of the spacing h. So the value of L levels a coordinate is
+neighbours so that its mean is kept (``CommandPolicy``), which adds a variance that
+grows with the square of the spacing h. So the value of L levels a coordinate is
 
     J_L = J + c h^2 + o(h^2),
 
 and with one more level between each two, of half the spacing, J_{2L-1} = J + c h^2 / 4.
-The difference d = J_{2L-1} - J_L is measured in the simulator, by common random numbers,
-and J is about J_L + 4/3 d (Richardson's extrapolation). Levels are fine enough where
-|4/3 d| is below a tenth of the interval's half width. Else the evaluation takes the finer
-levels, if the simulator steps them, and what is left over is put into the interval.
+The difference d = J_{2L-1} - J_L is measured in the simulator, by common random
+numbers, and J is about J_L + 4/3 d (Richardson's extrapolation). Levels are fine enough
+where |4/3 d| is below a tenth of the interval's half width. Else the evaluation takes
+the finer levels, if the simulator steps them, and what is left over is put into the
+interval.
 
 A single command x h above a level has the variance x (1 - x) h^2, and between the finer
 levels at most half of it. So the error is at most 2 d, which is what the
@@ -125,7 +126,7 @@ def make_finer(
 
 
 def has_only(log: ContinuousTransitions, actions: Array) -> bool:
-    """Return whether most rows of a log took one of the actions, by number or command."""
+    """Return whether most rows of a log took an action, by number or command."""
     if log.action.ndim == 1 or actions.ndim == 1:
         return True
     rows = np.unique(np.linspace(0, len(log) - 1, MAX_POLICY_STATES).astype(np.int64))
@@ -136,7 +137,7 @@ def has_only(log: ContinuousTransitions, actions: Array) -> bool:
 def make_finer_often(
     task: ContinuousTask, log: ContinuousTransitions, n_times: int
 ) -> ContinuousTask:
-    """Return the task with finer actions, at most so often, and as often as possible."""
+    """Return the task with finer actions, as often as possible up to a limit."""
     for _ in range(n_times):
         found = make_finer(task, log)
         if found is None:

@@ -248,27 +248,7 @@ def evaluate_continuous(
         conform({} if facts is None else facts, "facts", Mapping[str, Any]),
     )
     premises = Premises(lower_ratio, upper_ratio, tie, features)
-    found = _compute(request, log, policies)
-    said: list[str] = []
-    for _ in range(MAX_REFINEMENTS):
-        finer = found.refine()
-        if finer is None:
-            break
-        said += found.describe_refinement(len(finer.simulator.task.actions))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # said before
-            found = _compute(finer, log, policies)
-    sentences = describe_whole(
-        found.correction,
-        (*found.left_out, *found.prepared.messages, *said, *found.describe_roundings()),
-        is_auto=isinstance(history, str),
-    )
-    cells = found.prepared.cells
-    if cells is None:
-        return assemble_rows(found.prepared, found.rows, sentences, premises, layout)
-    return assemble_on_cells(
-        found.prepared, cells, found.rows, found.finite, sentences, premises, layout
-    )
+    return _compute_refined(request, log, policies).report(premises, layout)
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,6 +312,25 @@ def _check_request(
     )
 
 
+def _compute_refined(
+    request: _Request,
+    log: ContinuousTransitions,
+    policies: Mapping[str, StatePolicy | Array],
+) -> _Found:
+    """Take the steps before the report, again with finer actions while it helps."""
+    found = _compute(request, log, policies)
+    said: list[str] = []
+    for _ in range(MAX_REFINEMENTS):
+        finer = found.refine()
+        if finer is None:
+            break
+        said += found.describe_refinement(len(finer.simulator.task.actions))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said before
+            found = _compute(finer, log, policies)
+    return replace(found, refinements=said)
+
+
 def _compute(
     request: _Request,
     log: ContinuousTransitions,
@@ -386,7 +385,7 @@ def _compute(
         roundings=roundings,
     )
     return _Found(
-        request, prepared, correction, rows, finite, left_out, roundings, finer
+        request, prepared, correction, rows, finite, left_out, [], roundings, finer
     )
 
 
@@ -400,11 +399,29 @@ class _Found:
     rows: Rows
     finite: Mapping[str, Estimator]
     left_out: list[str]
+    refinements: list[str]
     roundings: Mapping[StatePolicy, Rounding]
     finer: ContinuousTask | None
 
+    def report(self, premises: Premises, layout: Layout) -> Report:
+        """Assemble the report."""
+        messages = (
+            *self.left_out,
+            *self.prepared.messages,
+            *self.refinements,
+            *self.describe_roundings(),
+        )
+        is_auto = isinstance(self.request.history, str)
+        sentences = describe_whole(self.correction, messages, is_auto=is_auto)
+        cells = self.prepared.cells
+        if cells is None:
+            return assemble_rows(self.prepared, self.rows, sentences, premises, layout)
+        return assemble_on_cells(
+            self.prepared, cells, self.rows, self.finite, sentences, premises, layout
+        )
+
     def refine(self) -> _Request | None:
-        """Return the request with finer actions, if a value needs and all can have them.
+        """Return the request with finer actions, if a value needs them and all can.
 
         What is given by the numbers of the actions cannot, nor can a log that has only
         these actions: what the target does under others was never recorded.

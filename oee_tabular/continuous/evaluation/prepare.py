@@ -124,20 +124,7 @@ def prepare(
     messages = list(categories)
     for message, category in categories.items():
         _checks.warn(message, category)
-    tables: dict[str, Array] = {}
-    functions: dict[str, StatePolicy] = {}
-    for name, policy in policies.items():
-        if callable(policy):
-            functions[name] = as_probabilities(policy, simulator.task.actions)
-        elif cells is None:
-            raise ArgumentError(
-                f"policy {name!r}",
-                "must be a function of states: there are no cells to be an array on",
-            )
-        if cells is not None:
-            given = functions.get(name, policy)
-            tables[name] = cells.model.policy(given, f"policy {name!r}")
-            functions.setdefault(name, cells.model.policy_function(tables[name]))
+    functions, tables = _check_policies(policies, simulator.task, cells)
     about_rewards = _describe_rewards(simulator.task, numbered)
     if about_rewards:
         messages.append(about_rewards)
@@ -155,6 +142,29 @@ def prepare(
         tables,
         tuple(messages),
     )
+
+
+def _check_policies(
+    policies: Mapping[str, StatePolicy | Array],
+    task: ContinuousTask,
+    cells: OnCells | None,
+) -> tuple[dict[str, StatePolicy], dict[str, Array]]:
+    """Return the policies as functions of states, and on the cells if there are any."""
+    tables: dict[str, Array] = {}
+    functions: dict[str, StatePolicy] = {}
+    for name, policy in policies.items():
+        if callable(policy):
+            functions[name] = as_probabilities(policy, task.actions)
+        elif cells is None:
+            raise ArgumentError(
+                f"policy {name!r}",
+                "must be a function of states: there are no cells to be an array on",
+            )
+        if cells is not None:
+            given = functions.get(name, policy)
+            tables[name] = cells.model.policy(given, f"policy {name!r}")
+            functions.setdefault(name, cells.model.policy_function(tables[name]))
+    return functions, tables
 
 
 def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:

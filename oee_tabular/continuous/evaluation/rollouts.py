@@ -7,9 +7,9 @@ counts the rollouts and the log, see ``corrected_value``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -45,11 +45,9 @@ BEYOND = (
     " correction is a guess there, and no interval counts its error."
 )
 GUESSED = (
-    "{} of the policy's transitions start outside the range of the recorded states, where"
-    " the correction is a guess"
+    "{} of the policy's transitions start outside the range of the recorded states,"
+    " where the correction is a guess"
 )
-
-Row: TypeAlias = Callable[[StatePolicy], Estimate]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The rows of a report, in the order of what they may be trusted for.
 
-A row (``Row``) has a name and a function of a policy, which estimates
+A row (``ReportRow``) has a name and a function of a policy, which estimates
 J = E[sum_{t<T} gamma^t r_t]. ``choose_rows`` says which rows a report has.
 """
 
@@ -36,7 +36,7 @@ TARGET = "target (continuous)"
 
 
 @dataclass(frozen=True)
-class Row:
+class ReportRow:
     """A row of a report.
 
     Attributes
@@ -63,11 +63,11 @@ class Rows:
 
     Attributes
     ----------
-    first : list of Row
+    first : list of ReportRow
         The corrected simulators, behind the simulator where none can be trusted.
-    others : list of Row
+    others : list of ReportRow
         The linear model, importance sampling, the simulator.
-    target : list of Row
+    target : list of ReportRow
         The true target, where it is known.
     has_oee : bool
         Whether the off-environment estimator is asked for.
@@ -75,15 +75,15 @@ class Rows:
         Gives the simulator's own value of a policy, a ``MonteCarlo``, computed once.
     """
 
-    first: list[Row]
-    others: list[Row]
-    target: list[Row]
+    first: list[ReportRow]
+    others: list[ReportRow]
+    target: list[ReportRow]
     has_oee: bool
     simulate: Callable[[StatePolicy], MonteCarlo]
 
-    def every(self) -> dict[str, Row]:
+    def every(self) -> dict[str, ReportRow]:
         """Return all rows by name; a name that comes twice stands where it is first."""
-        rows: dict[str, Row] = {}
+        rows: dict[str, ReportRow] = {}
         for row in (*self.first, *self.others, *self.target):
             rows.setdefault(row.name, row)
         return rows
@@ -132,7 +132,6 @@ def choose_rows(
     """
     task = prepared.simulator.task
     simulate = cache(partial(rollouts.value, task))
-    ends = task.terminates or prepared.log.terminated.any()
 
     @cache
     def bounds(policy: StatePolicy) -> tuple[float, float]:
@@ -147,7 +146,7 @@ def choose_rows(
             max(known[1], own[1]),
             rollouts.horizon,
             rollouts.discount,
-            ends=bool(ends),
+            ends=bool(task.terminates or prepared.log.terminated.any()),
         )
 
     def learned_row(
@@ -172,32 +171,30 @@ def choose_rows(
         """Estimate a value in the corrected simulator."""
         return learned_row(correction.learned, correction.status, policy)
 
-    def target_row(task: ContinuousTask, policy: StatePolicy) -> Estimate:
-        """Estimate a value in the true target."""
-        return _describe_simulated(rollouts.value(task, policy), is_from_log=True)
-
-    of_simulator = Row(SIMULATOR, simulated_row)
+    of_simulator = ReportRow(SIMULATOR, simulated_row)
     plain_status = describe_flaw(correction.plain)
-    first: list[Row] = []
+    first: list[ReportRow] = []
     if not correction.is_trusted:
         first.append(of_simulator)
     if wants_oee:
         plain = partial(learned_row, correction.plain, plain_status)
-        first.append(Row(correction.name, corrected_row, correction.is_trusted))
+        first.append(ReportRow(correction.name, corrected_row, correction.is_trusted))
         if correction.name != RESIDUAL:
-            first.append(Row(RESIDUAL, plain, plain_status == "ok"))
-    others: list[Row] = []
+            first.append(ReportRow(RESIDUAL, plain, plain_status == "ok"))
+    others: list[ReportRow] = []
     if wants_linear:
         linear = partial(learned_row, LinearModel(task, prepared.log), plain_status)
-        others.append(Row(LINEAR, linear, plain_status == "ok"))
+        others.append(ReportRow(LINEAR, linear, plain_status == "ok"))
     by_weights = sampling_rows(
         sampling, prepared.log, task.n_actions, rollouts.horizon, rollouts.discount
     )
-    others += [Row(name, estimate) for name, estimate in by_weights.items()]
+    others += [ReportRow(*named) for named in by_weights.items()]
     others.append(of_simulator)
     of_target = []
     if target is not None:
-        of_target.append(Row(TARGET, partial(target_row, target)))
+        of_target.append(
+            ReportRow(TARGET, partial(_estimate_in_target, rollouts, target))
+        )
     return Rows(first, others, of_target, wants_oee, simulate)
 
 
@@ -211,6 +208,13 @@ def split_sampling(
         chosen = sampling if isinstance(estimator, ImportanceSampling) else finite
         chosen[name] = estimator
     return sampling, finite
+
+
+def _estimate_in_target(
+    rollouts: Rollouts, target: ContinuousTask, policy: StatePolicy
+) -> Estimate:
+    """Estimate a value in the true target, by Monte Carlo."""
+    return _describe_simulated(rollouts.value(target, policy), is_from_log=True)
 
 
 def _describe_simulated(

@@ -6,7 +6,7 @@ state of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -14,9 +14,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular.continuous.correction.history import consecutive
-from oee_tabular.continuous.evaluation.rollouts import (
-    Row,
-)
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     StatePolicy,
@@ -37,8 +34,10 @@ def sampling_rows(
     n_actions: int,
     horizon: int,
     discount: float,
-) -> dict[str, Row]:
+) -> dict[str, Callable[[StatePolicy], Estimate]]:
     """Return importance sampling rows by name, on the episodes of a log.
+
+    A row is a function of a policy, which estimates its value.
 
     The log's actions are numbers. Row i of the log is state i; whatever is done there,
     the row that follows in its episode comes, or the end, state n. What follows a

@@ -1,8 +1,8 @@
 """Logs in parquet whose vectors are lists, as LeRobot's data sets (v3) have them.
 
 A row of such a data set is a frame: what was observed, what was done, and what came of
-it (``next.reward``). The state that follows stands in the next frame of the episode; the
-last frame has no successor, and is no transition.
+it (``next.reward``). The state that follows stands in the next frame of the episode;
+the last frame has no successor, and is no transition.
 """
 
 from __future__ import annotations

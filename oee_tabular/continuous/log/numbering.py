@@ -55,11 +55,11 @@ def number_log(
 
 
 def share_commands(task: ContinuousTask, log: ContinuousTransitions) -> Array | None:
-    """Return how the command of each row is shared out among the task's actions, (n, A).
+    """Return how each row's command is shared out among the task's actions, (n, A).
 
-    The shares are those of ``interpolate_weights``, whose mean is the command. None where
-    every row took an action of the task, and where the actions are no product grid: a
-    row then counts for the action nearest to its command.
+    The shares are those of ``interpolate_weights``, whose mean is the command. None
+    where every row took an action of the task, and where the actions are no product
+    grid: a row then counts for the action nearest to its command.
     """
     actions = task.actions
     if (
@@ -92,7 +92,7 @@ def number_and_share(
 
 
 def describe_shares(task: ContinuousTask, shares: Array, *, has_cells: bool) -> str:
-    """Say what is done with commands between the task's actions, which have ``shares``."""
+    """Say what is done with commands between the task's actions, by their shares."""
     n_between = int((shares.max(axis=1) < 1.0).sum())
     others = (
         "the rows on cells and the linear model" if has_cells else "the linear model"
@@ -106,7 +106,7 @@ def describe_shares(task: ContinuousTask, shares: Array, *, has_cells: bool) -> 
 
 
 def is_product_grid(actions: Array) -> bool:
-    """Say whether commands (A, k) are all combinations of levels of their coordinates."""
+    """Say whether commands (A, k) are all combinations of their coordinates' levels."""
     n_levels = [len(np.unique(column)) for column in actions.T]
     n_unique = len(np.unique(actions, axis=0))
     return bool(np.prod(n_levels) == len(actions) == n_unique)

@@ -122,11 +122,13 @@ def monte_carlo_value(
 
     Examples
     --------
+    The paper's figure has .63 here, and 1 - .99^100 = .634 is the most there is:
+
     >>> from oee_tabular.tasks import CartPole, cartpole_policy
     >>> expert = monte_carlo_value(
     ...     CartPole(), cartpole_policy(0.0), 2000, 100, seed=0, normalized=True
     ... )
-    >>> 0.62 < expert.value < 0.635  # the paper's figure has .63 here; 1 - .99^100 = .634 is the most there is
+    >>> 0.62 < expert.value < 0.635
     True
     """
     _checks.instance(task, ContinuousTask, "task")
@@ -170,27 +172,23 @@ def compare_returns(
     go alike. By the difference of two tasks' returns their values are compared with a
     small part of Monte Carlo's own error. All begin where the first does.
     """
-    # the seed may have spawned streams before: its copy begins with the first
-    fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
-    start, steps = map(np.random.default_rng, fresh.spawn(2))
-    n_all = n * len(tasks)
+    start, steps = _common_streams(seed)
     n_disturbances = max(task.n_disturbances for task in tasks)
     states = np.tile(tasks[0].initial_states(n, start), (len(tasks), 1))
-    total = np.zeros(n_all)
-    alive = np.arange(n_all)
+    total = np.zeros(len(states))
+    alive = np.arange(len(states))
     for t, stream in enumerate(steps.spawn(horizon)):
         uniform = stream.random(n)
         disturbance = stream.standard_normal((n_disturbances, n)).T
-        ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
-        parts = [slice(*each) for each in itertools.pairwise(ends.tolist())]
+        parts = _parts_of_tasks(alive, n, len(tasks))
         probabilities = _ask_each(policy, states, parts, tasks[0].n_actions)
         actions = _choose(probabilities, uniform[alive % n])
         following = np.empty_like(states)
         ended = np.zeros(len(states), dtype=np.bool_)
         for task, here in zip(tasks, parts, strict=True):
             if here.start < here.stop:
-                xi = disturbance[alive[here] % n, : task.n_disturbances]
-                moved = task.moves(states[here], actions[here], xi)
+                chance = disturbance[alive[here] % n, : task.n_disturbances]
+                moved = task.moves(states[here], actions[here], chance)
                 following[here] = moved.next_state
                 ended[here] = moved.terminated
                 total[alive[here]] += discount**t * moved.reward
@@ -201,13 +199,32 @@ def compare_returns(
     return total.reshape(len(tasks), n)
 
 
+def _common_streams(
+    seed: np.random.SeedSequence,
+) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the generators of first states and of steps, the same for each call."""
+    # the seed may have spawned streams before: its copy begins with the first
+    fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
+    start, steps = map(np.random.default_rng, fresh.spawn(2))
+    return start, steps
+
+
+def _parts_of_tasks(alive: IntArray, n: int, n_tasks: int) -> list[slice]:
+    """Return where the rows of each task stand among those of episodes that go on.
+
+    Episodes k n to (k + 1) n - 1 are those of task k.
+    """
+    ends = np.searchsorted(alive, n * np.arange(n_tasks + 1))
+    return [slice(*each) for each in itertools.pairwise(ends.tolist())]
+
+
 def _ask_each(
     policy: StatePolicy | Sequence[StatePolicy],
     states: Array,
     parts: Sequence[slice],
     n_actions: int,
 ) -> Array:
-    """Return probabilities (n, A) of one policy, or of one for each part of the rows."""
+    """Return probabilities (n, A) of one policy, or of one for each part of rows."""
     if callable(policy):
         return check_probabilities(policy, states, n_actions)
     asked = [

@@ -240,14 +240,17 @@ class GymnasiumTask(ContinuousTask):
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if not _checks.is_zero(check_steps):
-            n_steps = _checks.positive_integer(check_steps, "check_steps")
-            record = self._check_steps(_make_one(make), n_steps)
-            ways = [GymnasiumTask._step_arrays]
-            if make_vector is not None:
-                ways.append(GymnasiumTask._step_vector)
-            repeating = (way for way in ways if self._repeats(way, *record))
-            self._at_once = next(repeating, None)
-            self.n_disturbances = self._count_draws(*record)
+            self._learn_to_step(_checks.positive_integer(check_steps, "check_steps"))
+
+    def _learn_to_step(self, n_steps: int) -> None:
+        """Find how states are stepped at once, and what a step draws, by a record."""
+        record = self._check_steps(_make_one(self._make), n_steps)
+        ways = [GymnasiumTask._step_arrays]
+        if self._make_vector is not None:
+            ways.append(GymnasiumTask._step_vector)
+        repeating = (way for way in ways if self._repeats(way, *record))
+        self._at_once = next(repeating, None)
+        self.n_disturbances = self._count_draws(*record)
 
     def _set_actions(self, actions: RealArrayLike) -> None:
         """Take the actions, each of which the environment must have."""

@@ -286,13 +286,8 @@ class Reacher(ContinuousTask):
         ndarray of shape (n, 4)
             The next states.
         """
-        mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
-        inertia = moment + mass * centre**2
+        upper, lower, cross = self._inertia()
         h = self.timestep
-        length = self.length
-        upper = inertia[0] + (mass[1] + mass[2]) * length**2
-        lower = inertia[1] + inertia[2]
-        cross = length * (mass[1] * centre[1] + mass[2] * centre[2])
         q1, q2, w1, w2 = np.asarray(states, dtype=np.float64).T
         torques = self.gear * commands
         for _ in range(self.substeps):
@@ -301,13 +296,7 @@ class Reacher(ContinuousTask):
             m12 = lower + cross * cosine
             m11 = upper + lower + 2.0 * cross * cosine + self.armature
             m22 = lower + self.armature
-            coriolis = cross * sine * (2.0 * w1 * w2 + w2 * w2)
-            f1 = torques[:, 0] + coriolis - self.damping * w1
-            f2 = torques[:, 1] - cross * sine * w1 * w1 - self.damping * w2
-            if self.drag > 0.0:
-                first, second = self._drag(cosine, w1, w1 + w2)
-                f1 = f1 - self.drag * first
-                f2 = f2 - self.drag * second
+            f1, f2 = self._forces(torques, cosine, cross * sine, w1, w2)
             a11 = m11 + h * self.damping
             a22 = m22 + h * self.damping
             det = a11 * a22 - m12 * m12
@@ -320,6 +309,38 @@ class Reacher(ContinuousTask):
             w2 = np.where(stopped, 0.0, w2)
             q2 = np.clip(q2, -STOP, STOP)
         return np.stack([q1, q2, w1, w2], axis=1)
+
+    def _inertia(self) -> tuple[float, float, float]:
+        """Compute the constants of the mass matrix, in kg m^2.
+
+        They are the moments of inertia of the upper link (with the lower one's mass at
+        its end) and of the lower link about their joints, and the factor of cos(q2) by
+        which the links are coupled.
+        """
+        mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
+        inertia = moment + mass * centre**2
+        upper = inertia[0] + (mass[1] + mass[2]) * self.length**2
+        lower = inertia[1] + inertia[2]
+        cross = self.length * (mass[1] * centre[1] + mass[2] * centre[2])
+        return upper, lower, cross
+
+    def _forces(
+        self, torques: Array, cosine: Array, coupling: Array, w1: Array, w2: Array
+    ) -> tuple[Array, Array]:
+        """Compute what turns the two joints, (n,) each, in N m.
+
+        From the commands' ``torques`` (n, 2) the Coriolis terms, the damping and the
+        drag are taken. ``cosine`` is cos(q2), ``coupling`` the coupling of the links
+        times sin(q2), and w1 and w2 are the joints' speeds.
+        """
+        coriolis = coupling * (2.0 * w1 * w2 + w2 * w2)
+        f1 = torques[:, 0] + coriolis - self.damping * w1
+        f2 = torques[:, 1] - coupling * w1 * w1 - self.damping * w2
+        if self.drag > 0.0:
+            first, second = self._drag(cosine, w1, w1 + w2)
+            f1 = f1 - self.drag * first
+            f2 = f2 - self.drag * second
+        return f1, f2
 
     def _drag(self, cosine: Array, w1: Array, w12: Array) -> tuple[Array, Array]:
         """Compute what a Bullet drag of 1 takes from the torques of each joint, (n,).

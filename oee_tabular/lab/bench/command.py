@@ -31,7 +31,8 @@ def read_labels(labels: Sequence[str], names: Sequence[str]) -> dict[str, str]:
         if not equals:
             raise ArgumentError(
                 "--label",
-                f"must be NAME=TEXT, such as oee='OEE (ours)'; got {_checks.show(label)}",
+                "must be NAME=TEXT, such as oee='OEE (ours)'; got"
+                f" {_checks.show(label)}",
             )
         if name in texts:
             raise ArgumentError(
@@ -126,7 +127,7 @@ def bench(
 def write_options(
     given: Mapping[str, tuple[object, object]], labels: Sequence[str]
 ) -> str:
-    """Write the options of a command that are not the default's, as (value, default)."""
+    """Write the options of a command that are not the default's: (value, default)."""
     words = [
         f" --{name} {value}"
         for name, (value, default) in given.items()

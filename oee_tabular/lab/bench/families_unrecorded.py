@@ -229,7 +229,8 @@ FAULTS: Mapping[str, tuple[Kind, Where, Outcome, tuple[float, float]]] = {
     "deep_discharge": (
         replace(
             KINDS["battery"],
-            about="Nobody boosted a nearly empty battery, which then loses all at once.",
+            about="Nobody boosted a nearly empty battery, which then loses all at"
+            " once.",
             draw=both(
                 between((0.08, 0.14), (0.015, 0.03)),
                 between((1.0, 1.0), (1.0, 1.0)),

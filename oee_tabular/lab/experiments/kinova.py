@@ -71,7 +71,10 @@ PUBLISHED_SD = {TRUE: 0.016, OEE: 0.101, SIMULATOR: 0.170}
 
 def arm_of(target: str) -> kinova.KinovaArm:
     """Return the simulated arm ("simulator"), or a perturbed one; never a real one."""
-    return kinova.KinovaArm(**({} if target == "simulator" else TARGETS[target]))  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    if target != "simulator":
+        changes = dict(TARGETS[target])
+    return kinova.KinovaArm(**changes)
 
 
 @functools.cache
@@ -161,7 +164,8 @@ def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
 
 def run_values(log: ContinuousTransitions) -> Array:
     """Compute the mean discounted cost (5,) of the runs to each goal."""
-    return np.asarray((np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
+    reward = np.reshape(log.reward, RUNS)  # type: ignore[arg-type]
+    return np.asarray((reward @ DISCOUNTS).mean(axis=1))
 
 
 def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
@@ -176,8 +180,10 @@ def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
         chosen[rows] = kinova.kinova_policy(g, delta)(log.state[rows])[
             np.arange(len(rows)), log.action[rows]
         ]
-    weight = weights_before(np.reshape(chosen / log.behavior_probability, RUNS))  # type: ignore[operator]
-    return np.asarray((weight * np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
+    ratio = chosen / log.behavior_probability  # type: ignore[operator]
+    weight = weights_before(np.reshape(ratio, RUNS))
+    reward = np.reshape(log.reward, RUNS)  # type: ignore[arg-type]
+    return np.asarray((weight * reward @ DISCOUNTS).mean(axis=1))
 
 
 def weights_before(ratios: Array) -> Array:

@@ -1,9 +1,9 @@
 """Study of the value and of its interval where pairs were never recorded.
 
 The families are those of ``lab.bench.families_unrecorded``: 22 kinds, and 8 kinds of
-faults that lie exactly where nobody recorded, each with a near and a far policy, redrawn
-in each repetition. Half of each sort are *tuned*: rules and constants were chosen on
-them. The others are *held*, and were run once when the choice was fixed.
+faults that lie exactly where nobody recorded, each with a near and a far policy,
+redrawn in each repetition. Half of each sort are *tuned*: rules and constants were
+chosen on them. The others are *held*, and were run once when the choice was fixed.
 
     python -m oee_tabular.lab.experiments.unrecorded held --output folder --jobs 2
 
@@ -64,8 +64,8 @@ QUOTED = "quoted"
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 LEAST_SIZE = 1.0  # of the logs whose intervals are computed
 FACTORS = (1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
-# drawn directions of an ascent: with 16 instead, 2 of 120 ends moved by more than .1% of
-# the width, and the study took four times as long
+# drawn directions of an ascent: with 16 instead, 2 of 120 ends moved by more than .1%
+# of the width, and the study took four times as long
 N_DIRECTIONS = 2
 LEAST_COVERAGE = 0.88  # of a kind, both policies together
 LEAST_ERROR = 0.5  # of the reference, in standard deviations of an efficient estimator
@@ -392,7 +392,9 @@ def find(table: pd.DataFrame) -> str:
     draw=Panels("unrecorded", curves="families", x="size", by=("sort",)),
 )
 def unrecorded(settings: Cell, stream: Stream) -> list[Row]:
-    """Both policies of a kind on one log. The models are drawn anew by the repetition."""
+    """Both policies of a kind on one log. The models are drawn anew by the
+    repetition.
+    """
     name = str(settings["family"])
     every = families_unrecorded.families(stream.seed + int(settings["repetition"]))
     size = float(settings["size"])

@@ -270,8 +270,9 @@ def estimands(settings: Cell, stream: Stream) -> list[Row]:
     ),
 )
 def horizon(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid. The exact standard deviation of one product-weighted return of the simulator with the true zeta; the mean
-    |error| of the exact value with zeta from 3162 transitions of the uniform policy; the simulator's error.
+    """10 x 10 grid. The exact standard deviation of one product-weighted return of the
+    simulator with the true zeta; the mean |error| of the exact value with zeta from
+    3162 transitions of the uniform policy; the simulator's error.
     """
     simulator, target = grids()
     policy = gridworld_policy(10, settings["delta"])

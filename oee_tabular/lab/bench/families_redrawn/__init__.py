@@ -1,4 +1,4 @@
-"""Twenty-two kinds of environments that the other families do not have, redrawn by the seed.
+"""Twenty-two kinds of environments that other families lack, redrawn by the seed.
 
 Simulator and target are drawn anew for each seed. Each kind has two policies on one and
 the same pair of models and the same recorded policy: a near one, and a far one (its

@@ -1,4 +1,4 @@
-"""Families whose targets have a distribution of another shape, often of the same mean."""
+"""Families whose targets have a distribution of another shape, often of one mean."""
 
 from __future__ import annotations
 

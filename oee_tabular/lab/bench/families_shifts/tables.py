@@ -1,4 +1,4 @@
-"""Families of drawn tables: mixtures, low rank, points of a square, pages of the web."""
+"""Families of drawn tables: mixtures, low rank, points of a square, web pages."""
 
 from __future__ import annotations
 

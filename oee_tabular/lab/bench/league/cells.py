@@ -30,7 +30,8 @@ def wide(
     columns: str | list[str] = "estimator",
 ) -> pd.DataFrame:
     """Pivot a table to a column for each estimator, or each value of ``columns``."""
-    return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
+    # ``pivot_table`` drops what is nan
+    return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010
 
 
 def cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:

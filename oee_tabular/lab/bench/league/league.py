@@ -1,4 +1,4 @@
-"""League of a run: its rows, their cells, a row for each estimator, texts and pictures."""
+"""League of a run: its rows, cells, a row for each estimator, texts and pictures."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ import pandas as pd
 
 SURE_RATIO = 1.1
 OVER = "over likelihood"
-# A policy is near the recorded one, or far, by the total variation between the shares of
-# state-action pairs of both in the target.
+# A policy is near the recorded one, or far, by the total variation between the shares
+# of state-action pairs of both in the target.
 NEAR = 0.3
 FAR = 0.5
 MIN_FAMILY_LOGS = 10  # below it a family's coverage is not called the worst

@@ -20,22 +20,22 @@ EXPLAINED = (
     " best rule that sees the value alone. `surely above 1.1`: share of cells where the"
     " 5% quantile of the paired bootstrap over the seeds is above 1.1. `over"
     " likelihood`, `over eff`: RMSE over maximum likelihood's, over eff; `near`,"
-    " `between`, `far`: of families whose policy is less than 0.3 from the recorded one,"
-    " from 0.3 to 0.5, and farther, as the total variation between the shares of"
+    " `between`, `far`: of families whose policy is less than 0.3 from the recorded"
+    " one, from 0.3 to 0.5, and farther, as the total variation between the shares of"
     " state-action pairs. `coverage`,"
     " `width`: of the reported interval, over logs of at least 3 transitions per"
     " stochastic pair that cover more than 90% of the policy's time; widths are over 2"
     " x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. `seconds`: processor"
     " time of one log. `else` in a name: what stands for unrecorded pairs, the"
     " simulator's transitions, a state that stays as it is, or Q = 0. A mean is empty"
-    " where the estimator is exactly right in a cell. Tuned families are those on which a"
-    " constant of the default was chosen; in real ones the simulator and the target are"
-    " both measured."
+    " where the estimator is exactly right in a cell. Tuned families are those on which"
+    " a constant of the default was chosen; in real ones the simulator and the target"
+    " are both measured."
 )
 
 
 def league_text(league: pd.DataFrame, failed: pd.DataFrame) -> str:
-    """Return the league as a table of text, what it means, and why values are missing."""
+    """Return the league as a table, what it means, and why values are missing."""
     league = league.astype(object)
     for column in league.columns[2:]:
         form = "{:.0%}" if column in SHARES else "{:.3g}"
