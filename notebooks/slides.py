@@ -5,10 +5,13 @@ python notebooks/slides.py slides --weeks 3 5              those of two weeks
 python notebooks/slides.py slides --reveal package         with a copy of reveal.js
 
 A cell is on a slide where its metadata have ``"slideshow": {"slide_type": "slide"}``. A
-cell of text gives its headings, formulas, lists and first sentences, a cell of code the
-picture that it draws, or its few lines with what they print. Exercises and solutions
-are never shown. The notebooks are run for pictures of 1920 x 1080 pixels, which takes
-about three minutes; ``--stored`` takes their stored pictures and a few seconds.
+cell of text is a slide for each of its headings, a cell of code one with the picture
+that it draws, or with its few lines and what they print. ``"slide": "..."`` in the
+metadata is the slide's text: in place of a cell's own, or above a picture. So a slide
+stands alone, with its numbers and assumptions. Where a text of code has no heading, it
+is the title of the picture. Exercises and solutions are never shown. The notebooks are
+run for pictures of 1920 x 1080 pixels, which takes about three minutes of one core;
+``--stored`` takes their stored pictures and a few seconds.
 
 Decks are shown by reveal.js 4, which is loaded from a URL unless ``--reveal`` names a
 folder with a copy: ``npm pack reveal.js@4.6.1`` and ``tar xf reveal.js-4.6.1.tgz``
@@ -19,7 +22,7 @@ import argparse
 import base64
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,17 +31,14 @@ import nbformat
 FOLDER = Path(__file__).parent
 REVEAL_URL = "https://unpkg.com/reveal.js@4.6.1"
 REVEAL_FILES = ("reveal.js", "reveal.css", "theme/white.css", "theme/fonts")
-LIST = re.compile(r"[-*] |\d\. ")
 MAX_GOALS = 6  # on the slide with the title
-MAX_CODE_LINES = 16
-MAX_PRINTED_LINES = 14
-MIN_SENTENCE_LETTERS = 70  # a shorter first sentence takes one more with it
+MAX_CODE_LINES = 19
+MAX_PRINTED_LINES = 16
 KINDS = ("slide", "subslide")
 # the titles in a cell of code; a single one is the slide's heading
 TITLE = r'title(?:\(|=)\s*"([^"]+)"'
 # A notebook's figures become slides after each cell, before they are shown.
-BEFORE = f"""
-import re
+BEFORE = """
 import textwrap
 
 from IPython import get_ipython
@@ -46,15 +46,14 @@ from matplotlib._pylab_helpers import Gcf
 from oee_tabular import plots
 
 
-def fit_all(shell=get_ipython(), fill=textwrap.fill, find=re.findall, plots=plots):
-    titles = find({TITLE!r}, shell.user_ns["In"][-1])
+def fit_all(shell=get_ipython(), fill=textwrap.fill, plots=plots):
     for manager in Gcf.get_all_fig_managers():
         figure = manager.canvas.figure
         with plots.slides():
             plots.fit_slide(figure)
         for ax in figure.axes:
             inches = ax.get_window_extent().width / figure.dpi
-            is_heading = titles == [ax.get_title()]
+            is_heading = ax.get_title().lower() in HEADINGS
             letters = max(int(N_TITLE_LETTERS * inches), 12)
             ax.set_title("" if is_heading else fill(ax.get_title(), letters))
 
@@ -62,7 +61,7 @@ def fit_all(shell=get_ipython(), fill=textwrap.fill, find=re.findall, plots=plot
 get_ipython().events.register("post_execute", fit_all)
 get_ipython().run_line_magic("matplotlib", "inline")
 get_ipython().run_line_magic(
-    "config", "InlineBackend.print_figure_kwargs = {{'bbox_inches': None}}"
+    "config", "InlineBackend.print_figure_kwargs = {'bbox_inches': None}"
 )
 style = plots.slides()
 style.__enter__()
@@ -101,7 +100,15 @@ def run_for_slides(book: Any) -> Any:
     from nbclient import NotebookClient
 
     last = max(k for k, cell in enumerate(book.cells) if is_tagged(cell))
-    book.cells = [nbformat.v4.new_code_cell(BEFORE), *book.cells[: last + 1]]
+    shown = [cell for cell in book.cells[: last + 1] if is_tagged(cell)]
+    headings = [
+        heading.lower()
+        for cell in shown
+        for heading in re.findall(r"^## (.+)$", code_text(cell, ""), re.M)
+        if cell.cell_type == "code"
+    ]
+    before = BEFORE.replace("HEADINGS", repr(headings))
+    book.cells = [nbformat.v4.new_code_cell(before), *book.cells[: last + 1]]
     quiet = ["--IPKernelApp.log_level=40"]
     client = NotebookClient(
         book, timeout=600, kernel_name="python3", extra_arguments=quiet
@@ -113,73 +120,48 @@ def run_for_slides(book: Any) -> Any:
 # ---- what of a cell is on a slide
 
 
-def split_sentences(paragraph: str) -> list[str]:
-    """Cut a paragraph into sentences."""
-    return re.split(r"(?<=[.!?])\s+(?=[A-Z*`$])", " ".join(paragraph.split()))
-
-
-def first_sentences(paragraph: str, most: int) -> str:
-    """Shorten a paragraph to some sentences, and one more where the first is short."""
-    sentences = split_sentences(paragraph)
-    is_short = len(sentences[0]) < MIN_SENTENCE_LETTERS
-    return " ".join(sentences[: most + is_short])
-
-
-def shorten(block: str, following: str) -> str:
-    """Shorten a list or a paragraph; formulas, tables, code and headings stay whole."""
-    if block.startswith(("$$", "|", "```", "#")):
-        return block
-    if LIST.match(block):
-        items = re.split(r"\n(?=[-*] |\d\. )", block)
-        return "\n".join(first_sentences(item, 1) for item in items)
-    if following.startswith("$$"):  # the sentence that the formula ends
-        return split_sentences(block)[-1]
-    return first_sentences(block, 2)
-
-
-def cut_blocks(text: str) -> Iterator[str]:
-    """Cut a text at empty lines and below headings."""
-    for block in re.split(r"\n\s*\n", text.strip()):
-        first, _, rest = block.partition("\n")
-        if first.startswith("#"):
-            yield re.sub(r"^#+ (\d+\. )?", "## ", first)
-            block = rest
-        if block.strip():
-            yield block.strip()
-
-
-def text_slides(source: str, heading: str) -> list[str]:
+def text_slides(cell: Any, heading: str) -> list[str]:
     """Return the slides of a cell of text: one a heading, exercises left out."""
+    source = cell.metadata.get("slide", cell.source)
     source = re.sub(r"<details>.*?</details>", "", source, flags=re.DOTALL)
     slides = []
-    for part in re.split(r"\n(?=#+ )", source.strip()):
-        if re.match(r"#+ Exercise", part):
+    for part in re.split(r"^(?=#+ )", source, flags=re.MULTILINE):
+        if not part.strip() or re.match(r"#+ Exercise", part):
             continue
-        blocks = [block for block in cut_blocks(part) if "**Exercise" not in block]
-        pairs = zip(blocks, [*blocks[1:], ""], strict=True)
-        if blocks and not all(block.startswith("#") for block in blocks):
-            texts = [shorten(*pair) for pair in pairs]
-            has_heading = blocks[0].startswith("#")
-            slides.append("\n\n".join(texts if has_heading else [heading, *texts]))
+        if not part.startswith("#"):
+            part = f"{heading}\n\n{part}"
+        slide = re.sub(r"^#+ (\d+\. )?", "## ", part.strip())
+        if "\n" in slide:  # more than its heading
+            slides.append(slide)
     return slides
 
 
-def heading_of(source: str, section: str) -> str:
-    """Return the title in a cell of code as a heading; the section's for several."""
-    titles = re.findall(TITLE, source)
-    return f"## {titles[0][0].upper()}{titles[0][1:]}" if len(titles) == 1 else section
+def code_text(cell: Any, section: str) -> str:
+    """Return the text above a picture: a heading, and what the metadata say.
+
+    The heading is that of the metadata, or the title in the code, or the section's.
+    """
+    text: str = cell.metadata.get("slide", "")
+    if text.startswith("## "):
+        return text
+    titles = re.findall(TITLE, cell.source)
+    if len(titles) == 1:
+        section = f"## {titles[0][0].upper()}{titles[0][1:]}"
+    return f"{section}\n\n{text}".strip()
 
 
 def first_lines(text: str, most: int) -> str:
-    """Return a block of code with no more than some lines."""
+    """Return a block of code with no more than some lines, cut at an empty one."""
     lines = text.rstrip("\n").split("\n")
-    shown = lines[:most] + ["..."] * (len(lines) > most)
-    return "```text\n" + "\n".join(shown) + "\n```"
+    if len(lines) > most:
+        empty = [k for k, line in enumerate(lines[:most]) if not line.strip()]
+        lines = [*lines[: max(empty, default=most)], "..."]
+    return "```text\n" + "\n".join(lines) + "\n```"
 
 
 def code_slide(cell: Any, folder: Path, heading: str) -> str:
     """Return the slide of a cell of code, and write its picture into a folder."""
-    parts = [heading_of(cell.source, heading)]
+    parts = [code_text(cell, heading)]
     texts = []
     for output in cell.outputs:
         data = output.get("data", {})
@@ -187,8 +169,8 @@ def code_slide(cell: Any, folder: Path, heading: str) -> str:
             folder.mkdir(exist_ok=True)
             name = f"{cell.id}.png"
             (folder / name).write_bytes(base64.b64decode(data["image/png"]))
-            words = re.sub(r"[#$]", "", parts[0]).strip() or "A picture"
-            parts.append(f"![{words}]({folder.name}/{name})")
+            words = re.sub(r"[#$]", "", parts[0].partition("\n")[0]).strip()
+            parts.append(f"![{words or 'A picture'}]({folder.name}/{name})")
         elif data.get("text/html", "").startswith("<img"):
             parts.append(data["text/html"])
         else:
@@ -208,7 +190,7 @@ def opening(week: Week, books: Sequence[Any]) -> str:
     """Return the slide with the title, and what one can do after the lecture."""
     first = [book.cells[0].source for book in books]
     items = [item for text in first for item in re.findall(r"^[-*] .*", text, re.M)]
-    goals = [first_sentences(item, 1).rstrip(",;.") for item in items[:MAX_GOALS]]
+    goals = [item.rstrip(",;.") for item in items[:MAX_GOALS]]
     return "\n\n".join([f"# Week {week.number}: {week.topic}", "\n".join(goals)])
 
 
@@ -231,7 +213,7 @@ def deck_cells(week: Week, folder: Path, is_stored: bool) -> list[Any]:
             if is_tagged(cell) and cell.cell_type == "code":
                 texts.append(code_slide(cell, folder, heading))
             elif is_tagged(cell):
-                texts += text_slides(cell.source, heading)
+                texts += text_slides(cell, heading)
             if cell.cell_type == "markdown":
                 found = re.findall(
                     r"^##+ (?!Exercise)(?:\d+\. )?(.+)$", cell.source, re.M

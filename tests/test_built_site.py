@@ -267,6 +267,22 @@ def test_every_notebook_can_be_downloaded(site):
             )
 
 
+def test_a_result_s_page_links_to_its_table(site):
+    """A file to download: every seed behind the table on the page."""
+    folder = site["index.html"].parent
+    tables = sorted((ROOT / "notebooks" / "results").glob("*/table.csv"))
+    tables = [table for table in tables if table.with_name("summary.md").is_file()]
+    assert len(tables) > 25
+    for table in tables:
+        name = f"results/{table.parent.name}/summary.html"
+        (link,) = re.findall(
+            r'<a class="[^"]*download[^"]*"[^>]*href="([^"]+table\.csv)"',
+            site[name].read_text(),
+        )
+        file = folder / normpath(join(dirname(name), link))
+        assert file.read_bytes() == table.read_bytes(), name
+
+
 def test_the_gallery_has_every_picture_and_every_result(site):
     html = site["gallery.html"].read_text()
     cards = re.findall(r'<div class="sd-card .*?</a>\s*</div>', html, re.S)

@@ -14,6 +14,7 @@ import pytest
 from helpers import run_command
 
 import oee_tabular as oee
+from oee_tabular.report.columns import EXACT, FULL, P_BEST, SIMULATOR
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 PAGES = {path.stem: path.read_text() for path in NOTEBOOKS.glob("*.md")}
@@ -86,20 +87,28 @@ EXTRAS = {
 
 @pytest.mark.parametrize("heading", sections("how_to"))
 def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
+    """Each alone, from an empty folder: no recipe needs the files of another."""
     if heading in EXTRAS:
         pytest.importorskip(EXTRAS[heading])
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     text = sections("how_to")[heading]
     assert BLOCK.search(text)
-    while earlier := re.match(r"\n<!-- after: (.+) -->\n", text):
-        # its files are there, its other blocks have run
-        text = sections("how_to")[earlier[1]] + text[earlier.end() :]
     run(text, capsys)
 
 
+def test_files_that_several_recipes_write_are_the_same():
+    files = {}
+    for _, block in BLOCK.findall(PAGES["how_to"]):
+        if named := re.match(r"# (\w+\.py)\n", block):
+            files.setdefault(named[1], set()).add(block)
+    assert files
+    assert {name for name, blocks in files.items() if len(blocks) > 1} == set()
+
+
 def rendered_lines(text):
-    """How many lines of 100 letters a section has; code as it stands."""
+    """How many lines of 100 letters a section has; code as it stands, folded one not."""
+    text = re.sub(r"<details>.*?</details>", "", text, flags=re.S)
     parts = re.split(r"^```.*\n", text, flags=re.M)
     lines = sum(len(block.splitlines()) for block in parts[1::2])
     for prose in parts[::2]:
@@ -124,6 +133,7 @@ def test_every_recipe_answers_a_question_of_the_index():
     linked = re.findall(r"\]\(#([\w-]+)\)", top)
     assert sorted(linked) == sorted(anchors)
     for question in (
+        "How much data do I need?",
         "My log has other column names",
         "My simulator can only be sampled",
         "My robot has a delay",
@@ -221,6 +231,32 @@ def test_getting_started_prints_what_it_shows(tmp_path, monkeypatch, capsys):
     assert ".venv/bin/oee evaluate" in first
     run(rest, capsys)
     assert (tmp_path / "page.html").is_file()
+
+
+def test_the_glossary_has_what_a_report_shows():
+    """Each column and each estimator of the first command's report, and z."""
+    block = re.search(r"```{glossary}\n(.*?)```", PAGES["glossary"], re.S)[1]
+    terms = {line.lower() for line in block.splitlines() if re.match(r"\S", line)}
+    columns = {*FULL, "95% interval", P_BEST, SIMULATOR, EXACT, "below the top row by"}
+    # what a number, a list of names and the notes are needs no entry
+    known = {"interval", "estimator", "error", "note"}
+    names = {"oee", "simulator", "model-based", "pdis", "wpdis", "is", "wis", "fqe"}
+    for word in columns | names | {"z", "mdp", "dr", "fqe-zero", "dualdice"}:
+        assert word.lower() in terms | known, word
+
+
+def test_the_first_pages_say_what_oee_stands_for():
+    for text in (TEXT, PAGES["getting_started"], PAGES["glossary"]):
+        head = " ".join(text.partition("## 2.")[0].split())[:1500]
+        assert re.search(r"[Oo]ff-environment evaluation", head)
+        assert "oee" in head
+
+
+def test_a_clone_is_made_where_one_is_needed():
+    """The address is the reader's: no host is named."""
+    contributing = (NOTEBOOKS.parent / ".github" / "CONTRIBUTING.md").read_text()
+    for text in (TEXT, PAGES["getting_started"], PAGES["install"], contributing):
+        assert "git clone <address of this repository> oee_tabular" in text
 
 
 def test_the_page_of_installing_lists_every_extra():

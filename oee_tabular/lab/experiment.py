@@ -584,7 +584,7 @@ def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
         f"# {experiment.title}",
         f"![{finding or experiment.title}](figure.png)",
         experiment.caption,
-        f"`{command}` ({axes}); every seed is in table.csv.",
+        f"`{command}` ({axes}); every seed is in [table.csv](table.csv).",
         pipe_table(summary),
     ]
     return "\n\n".join(parts) + "\n"

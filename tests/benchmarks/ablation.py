@@ -113,7 +113,7 @@ def write_page(table):
         " transitions; ± its standard error. *worst*: the largest of a family."
         " *covers*: share of 95% intervals of the estimator that contain the target's"
         " value. *right*: the simulator is the target. Made by `python"
-        " tests/benchmarks/ablation.py`; `cells.csv` has every family.",
+        " tests/benchmarks/ablation.py`; [cells.csv](cells.csv) has every family.",
         "",
         "| simulator | size | estimator | families | error | worst | covers |",
         "|---|---|---|---|---|---|---|",

@@ -131,6 +131,7 @@ def test_the_files_of_an_experiment(tmp_path, monkeypatch):
         " are hard to print."
     )
     assert "`oee reproduce noise --seeds 2` (n 1, 2, 3)" in page
+    assert "every seed is in [table.csv](table.csv)." in page
     assert "| 2 | third | 2 |" in page
     assert b"50 &lt; 60" in files["figure.svg"]
     silent = replace(one, finding=lambda table: "")

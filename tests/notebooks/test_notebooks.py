@@ -27,7 +27,7 @@ FOLDED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 SLIDES = ("slide", "subslide", "fragment")  # what slides.py puts on slides
 EXERCISES = {"05": "abc", "05b": "de"}
 LEVELS = ("beginner", "intermediate", "advanced")
-MAX_LINES = 30  # of a cell of the long notebooks 08 and 09
+MAX_LINES = 30  # of a cell that a student reads
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
@@ -92,8 +92,12 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
     }
     for cell in stored.cells:
         marks = dict(cell.metadata)
+        is_slide = "slideshow" in marks
         slide = marks.pop("slideshow", {"slide_type": "slide"})
         assert slide in [{"slide_type": kind} for kind in SLIDES]
+        # the text of the slide, in place of the cell's own or above its picture
+        assert is_slide or "slide" not in marks
+        assert marks.pop("slide", "text").strip()
         assert marks in ({}, FOLDED)
     for cell in cells(stored, "code"):
         assert cell.execution_count is None
@@ -148,12 +152,9 @@ def test_every_check_runs_after_a_cell_and_says_something(path, stored):
         assert has_assert or "test_" in inspect.getsource(check)
 
 
-def test_cells_of_the_long_notebooks_are_short(path, stored):
-    if number(path) in ("08", "09"):
-        lengths = {
-            cell.id: cell.source.count("\n") + 1 for cell in cells(stored, "code")
-        }
-        assert max(lengths.values()) <= MAX_LINES, lengths
+def test_no_cell_is_longer_than_a_student_reads(stored):
+    lengths = {cell.id: cell.source.count("\n") + 1 for cell in cells(stored, "code")}
+    assert max(lengths.values()) <= MAX_LINES, lengths
 
 
 def test_it_uses_public_names(stored):

@@ -15,6 +15,7 @@ pytest.importorskip("nbconvert")
 FOLDER = Path(__file__).parents[2] / "notebooks"
 WEEKS = range(1, 9)
 MIN_SLIDES = 8
+MAX_WORDS = 130
 URL = "https://example.org/reveal.js"
 SECTION = re.compile(r"<section.*?</section>", re.DOTALL)
 PICTURE = re.compile(r"""<img alt=(["'])(.+?)\1 src="([^"]+)""")
@@ -82,6 +83,88 @@ def test_a_deck_shows_no_exercise_and_no_solution(slides, decks, tmp_path, numbe
     assert len(lines) > 30
     assert not [line for line in lines if line in text]
     assert not re.search(r"<details|Solution|check\(|answer = |Exercise [a-e]\b", text)
+
+
+def numbers_of(text):
+    """The numbers of a text, each with the digits behind its point; of 12% also 0.12."""
+    text = re.sub(r"(?<=\d)[ _](?=\d{3}\b)", "", text.replace("−", "-"))
+    found = re.findall(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?= ?%)?", text)
+    shares = re.findall(r"(\d+(?:\.\d+)?) ?%", text)
+    return found, shares
+
+
+def rounds_to(number, digits, texts):
+    """Whether one of the numbers in texts is a number, rounded to some digits."""
+    return any(round(abs(float(x)), digits) == number for x in texts)
+
+
+@pytest.mark.parametrize("number", WEEKS)
+def test_a_slide_s_numbers_are_those_of_its_notebook(slides, number):
+    """Each decimal and each number above 20 is one that the notebook says or prints."""
+    checked = 0
+    for path in slides.read_weeks()[number - 1].notebooks:
+        book = nbformat.read(path, as_version=4)
+        outputs = [
+            output.get("text") or output.get("data", {}).get("text/plain", "")
+            for cell in book.cells
+            for output in cell.get("outputs", [])
+        ]
+        sources = [cell.source for cell in book.cells]
+        known, known_shares = numbers_of("\n".join(sources + outputs))
+        known += [str(float(share) / 100) for share in known_shares]
+        for cell in book.cells:
+            text = cell.metadata.get("slide", "")
+            text = re.sub(r"\$\$.*?\$\$|`[^`]*`", "", text, flags=re.DOTALL)
+            found, shares = numbers_of(text)
+            for word in found:
+                if word in shares or (float(word) <= 20 and "." not in word):
+                    continue
+                digits = len(word.partition("e")[0].partition(".")[2])
+                scale = 10.0 ** int(word.partition("e")[2] or 0)
+                ready = [float(x) / scale for x in known]
+                is_known = rounds_to(float(word) / scale, digits, ready)
+                assert is_known, (path.name, cell.id, word)
+                checked += 1
+            for share in shares:
+                digits = len(share.partition(".")[2]) + 2
+                is_known = share in known_shares or rounds_to(
+                    round(float(share) / 100, digits), digits, known
+                )
+                assert is_known, (path.name, cell.id, f"{share}%")
+                checked += 1
+    assert checked >= 5
+
+
+@pytest.mark.parametrize("number", WEEKS)
+def test_each_slide_stands_alone(slides, tmp_path, number):
+    """Its own heading, some words beside a picture, and few enough to be read."""
+    week = slides.read_weeks()[number - 1]
+    texts = [cell.source for cell in slides.deck_cells(week, tmp_path, True)]
+    headings = [text.partition("\n")[0] for text in texts]
+    assert len(set(headings)) == len(headings)
+    for text in texts[1:-1]:
+        prose = re.sub(r"\$\$.*?\$\$|^```.*?^```", "", text, flags=re.DOTALL | re.M)
+        prose = re.sub(r"^## .*$|!\[.*|<img.*|^\|.*$", "", prose, flags=re.M)
+        words = len(prose.split())
+        assert words <= MAX_WORDS, (words, text)
+        assert words >= 8 or "|" in text, text
+        assert not re.search(r"\bbelow\b|:\s*$", prose), text
+
+
+def test_slides_say_what_they_assume(slides, tmp_path):
+    """What a first sentence alone would leave out."""
+    for number, *said in (
+        (1, "must depend on the state and the action alone"),
+        (3, "The tilt is an assumption", "tilt's assumption holds here"),
+        (4, "wherever $\\hat\\zeta$ is wrong"),
+        (5, "the slip changed alike in all cells", "assumes that change is normal"),
+        (6, "an assumption of yours", "Rewards are taken as known"),
+        (7, "need the unknown $P'$"),
+    ):
+        week = slides.read_weeks()[number - 1]
+        text = "\n".join(c.source for c in slides.deck_cells(week, tmp_path, True))
+        for words in said:
+            assert words in text, (number, words)
 
 
 @pytest.mark.parametrize("number", WEEKS)
