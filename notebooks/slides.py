@@ -10,7 +10,7 @@ that it draws, or with its few lines and what they print. ``"slide": "..."`` in 
 metadata is the slide's text: in place of a cell's own, or above a picture. So a slide
 stands alone, with its numbers and assumptions. Where a text of code has no heading, it
 is the title of the picture. Exercises and solutions are never shown. The notebooks are
-run for pictures of 1920 x 1080 pixels, which takes about three minutes of one core;
+run for pictures of 1920 x 1080 pixels, which takes about two minutes of one core;
 ``--stored`` takes their stored pictures and a few seconds.
 
 Decks are shown by reveal.js 4, which is loaded from a URL unless ``--reveal`` names a
