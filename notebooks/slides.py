@@ -34,6 +34,8 @@ REVEAL_FILES = ("reveal.js", "reveal.css", "theme/white.css", "theme/fonts")
 MAX_GOALS = 6  # on the slide with the title
 MAX_CODE_LINES = 19
 MAX_PRINTED_LINES = 16
+MIN_PRINTED_LINES = 8
+MAX_LINES = 28  # of code and what it prints
 KINDS = ("slide", "subslide")
 # the titles in a cell of code; a single one is the slide's heading
 TITLE = r'title(?:\(|=)\s*"([^"]+)"'
@@ -176,10 +178,13 @@ def code_slide(cell: Any, folder: Path, heading: str) -> str:
         else:
             texts.append(output.get("text") or data.get("text/plain", ""))
     if len(parts) == 1:  # no picture: the code, if it is short, and what it prints
-        if cell.source.count("\n") < MAX_CODE_LINES:
+        most = MAX_PRINTED_LINES
+        n_lines = cell.source.count("\n") + 1
+        if n_lines <= MAX_CODE_LINES:
             parts.append(f"```python\n{cell.source}\n```")
+            most = min(most, max(MAX_LINES - n_lines, MIN_PRINTED_LINES))
         if any(texts):
-            parts.append(first_lines("".join(texts), MAX_PRINTED_LINES))
+            parts.append(first_lines("".join(texts), most))
     return "\n\n".join(part for part in parts if part)
 
 
