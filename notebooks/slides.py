@@ -10,7 +10,7 @@ that it draws, or with its few lines and what they print. ``"slide": "..."`` in 
 metadata is the slide's text: in place of a cell's own, or above a picture. So a slide
 stands alone, with its numbers and assumptions. Where a text of code has no heading, it
 is the title of the picture. Exercises and solutions are never shown. The notebooks are
-run for pictures of 1920 x 1080 pixels, which takes about three minutes of one core;
+run for pictures of 1920 x 1080 pixels, which takes about two minutes of one core;
 ``--stored`` takes their stored pictures and a few seconds.
 
 Decks are shown by reveal.js 4, which is loaded from a URL unless ``--reveal`` names a
@@ -34,6 +34,8 @@ REVEAL_FILES = ("reveal.js", "reveal.css", "theme/white.css", "theme/fonts")
 MAX_GOALS = 6  # on the slide with the title
 MAX_CODE_LINES = 19
 MAX_PRINTED_LINES = 16
+MIN_PRINTED_LINES = 8
+MAX_LINES = 28  # of code and what it prints
 KINDS = ("slide", "subslide")
 # the titles in a cell of code; a single one is the slide's heading
 TITLE = r'title(?:\(|=)\s*"([^"]+)"'
@@ -176,10 +178,13 @@ def code_slide(cell: Any, folder: Path, heading: str) -> str:
         else:
             texts.append(output.get("text") or data.get("text/plain", ""))
     if len(parts) == 1:  # no picture: the code, if it is short, and what it prints
-        if cell.source.count("\n") < MAX_CODE_LINES:
+        most = MAX_PRINTED_LINES
+        n_lines = cell.source.count("\n") + 1
+        if n_lines <= MAX_CODE_LINES:
             parts.append(f"```python\n{cell.source}\n```")
+            most = min(most, max(MAX_LINES - n_lines, MIN_PRINTED_LINES))
         if any(texts):
-            parts.append(first_lines("".join(texts), MAX_PRINTED_LINES))
+            parts.append(first_lines("".join(texts), most))
     return "\n\n".join(part for part in parts if part)
 
 
