@@ -624,6 +624,24 @@ def test_the_page_says_the_points_and_what_is_graded():
                 expected.append((number, function_of(name), *map(points.get, ids)))
     assert [row[:4] for row in shown] == expected
     assert all(len(row[4]) > 20 for row in shown)
+    kinds = {
+        function_of(name): " ".join(kind.about for kind in task.kinds)
+        for name, task in assignments._TASKS.items()
+    }
+    for _, name, _, _, text in shown:
+        for number in re.findall(r"0\.999|0\.99|150|1\.94|1\.98|1e-9|1e6", text):
+            assert number in kinds[name], (name, number)
+    texts = {row[1]: row[4] for row in shown}
+    for name, suspects in (
+        ("shift_law", assignments.estimator_law.SHIFT_SUSPECTS),
+        ("limit_law", assignments.estimator_law.LIMIT_SUSPECTS),
+    ):
+        n_right = sum(suspect.is_right for suspect in suspects)
+        n_wrong = len(suspects) - n_right
+        said = (
+            f"which of {n_right + n_wrong} estimators it lets pass: {n_right} obey the"
+        )
+        assert texts[name].startswith(f"{said} law and {n_wrong} break it")
 
 
 def test_the_page_says_what_is_there():
@@ -728,10 +746,11 @@ def test_a_notebook_that_runs_for_ever(tmp_path):
         path, "--seconds", 3, "--output", "grades.csv", folder=tmp_path
     ).stdout
     assert "risk.ipynb: 0 of 10 points" in found
-    late = "it ran longer than 3 s, in assignment_1_risk"
-    assert f"assignment_1_risk_visible: 0 of 1: {late}" in found
+    # a busy machine may still be importing the package
+    late = r"it ran longer than 3 s, in (assignment_1_risk|code cell 1)$"
+    assert re.search(f"assignment_1_risk_visible: 0 of 1: {late}", found, re.M)
     [row, total] = table_of(tmp_path / "grades.csv")
-    assert row["message"].endswith(f"assignment_1_normalised_hidden: {late}")
+    assert re.search(f"assignment_1_normalised_hidden: {late}", row["message"])
     assert (total["points"], total["of"]) == ("0", "10")
 
 
