@@ -1922,4 +1922,9 @@ return float(N)
 """,
         "this is the right result times n; an error",
     ),
+    (
+        "5_bootstrap",
+        RETURNS + "return returns[rng.integers(n, size=(4000, n))].mean(1)",
+        "must return an array of shape (2500,)",
+    ),
 ]

@@ -453,7 +453,7 @@ def test_the_risk_is_the_paper_s():
 
 def test_the_design_reaches_the_efficiency_bound():
     """The costs by the shares sum to the bound, and Neyman's shares have the least."""
-    for case in range(8):
+    for case in range(0, 80, 10):  # plain ones, where every pair has a cost
         P, r, mu, policy, discount = draw_case("6_costs", case).values()
         mdp = oee.FiniteMDP(P, r, mu, discount)
         costs = first_kind()["costs"](P, r, mu, policy, discount)

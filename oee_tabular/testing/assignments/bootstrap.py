@@ -197,6 +197,7 @@ def _draw_log(
     lengths: tuple[int, int] = (2, 6),
     discount: float = 0.9,
     sign: float = 1.0,
+    n_resamples: int = 4000,
 ) -> Arguments:
     n = int(rng.integers(8, 14)) if n_episodes is None else n_episodes
     steps = rng.integers(*lengths, size=n)
@@ -207,7 +208,7 @@ def _draw_log(
         "episode": episode,
         "timestep": timestep,
         "discount": discount,
-        "n_resamples": 4000,
+        "n_resamples": n_resamples,
         "seed": int(rng.integers(1000)),
     }
 
@@ -246,7 +247,11 @@ RESAMPLE_KINDS = (
         "every episode has one step",
         partial(_draw_log, lengths=(1, 2)),
     ),
-    Kind("rewards are negative", partial(_draw_log, sign=-1.0)),
+    Kind(
+        "rewards are negative, and 2500 resamples are asked for",
+        partial(_draw_log, sign=-1.0, n_resamples=2500),
+        "the number of resamples is an argument, and rewards may have any sign.",
+    ),
     Kind(
         "there are 60 episodes, of up to 30 steps",
         partial(_draw_log, n_episodes=60, lengths=(1, 31)),
