@@ -1792,7 +1792,7 @@ if gain / error > z:
     return "deploy"
 return "keep" if gain / error < -z else "record"
 """,
-        "the interval is gain -+ 1.96 error; no",
+        "gain -+ 1.96 error",
     ),
     ("8_decide", "'record'", "deploy if the whole 95% interval, gain -+"),
     ("8_decide", "'deploy'", "deploy if the whole 95% interval, gain -+"),
@@ -1800,7 +1800,7 @@ return "keep" if gain / error < -z else "record"
     (
         "8_decide",
         "'DEPLOY' if gain > cost else 'keep'",
-        "must return 'deploy' or 'keep' or 'record'",
+        "the whole 95% interval",
     ),
     (
         "8_need",
@@ -1921,6 +1921,51 @@ while gain - 1.96 * error * (n / N) ** 0.5 < cost and N < 10000:
 return float(N)
 """,
         "this is the right result times n; an error",
+    ),
+    (
+        "1_normalised",
+        """
+low, high = 0.1, 10.0
+for _ in range(200):
+    middle = (low + high) / 2
+    g = np.clip(p / (middle * q), nu, mu)
+    low, high = (middle, high) if q @ g > 1 else (low, middle)
+return g
+""",
+        "l may be near -1",
+    ),
+    (
+        "7_limit",
+        LONG_LOG + "return bool(abs(found - truth) < 1e-6)",
+        "your law refuses an estimator that adds",
+    ),
+    (
+        "7_shift",
+        BEFORE
+        + """
+for c in (5.0, -5.0):
+    b = estimate(P, r + c, mu, discount, counts, policy)
+    if abs(b - a - c / (1 - discount)) > 1e-4:
+        return False
+return True
+""",
+        "sums the first 20 rewards alone",
+    ),
+    (
+        "8_decide",
+        """
+if not np.isfinite(error):
+    return "record"
+if gain - 1.95 * error > cost:
+    return "deploy"
+return "keep" if gain + 1.95 * error < cost else "record"
+""",
+        "no other number than 1.96",
+    ),
+    (
+        "8_gain",
+        BOTH + "return gain, (variance(slope) / np.maximum(n, 5)).sum() ** 0.5",
+        "divided by its own count",
     ),
     (
         "5_bootstrap",

@@ -39,7 +39,7 @@ def _draw_gain(
     target = draw_rows(rng, parts.P.shape, has_zeros=has_zeros)
     n = rng.integers(5, 40, size=parts.r.shape)
     if is_unequal:
-        n[0], n[-1] = 1, 10_000
+        n[0], n[-1] = 3, 10_000
     counts = draw_counts(rng, n, target)
     running = draw_policy(rng, parts.r.shape, is_certain=is_certain)
     candidate = draw_policy(rng, parts.r.shape, is_certain=is_certain)
@@ -77,7 +77,7 @@ GAIN_KINDS = (
         " system, or iterate until nothing changes any more.",
     ),
     Kind(
-        "pairs have one transition, and others 10 000",
+        "pairs have three transitions, and others 10 000",
         partial(_draw_gain, is_unequal=True),
         "each pair's variance is divided by its own count.",
     ),
@@ -243,7 +243,7 @@ GAIN = Task(
 def _draw_decide(
     rng: np.random.Generator,
     *,
-    distance: tuple[float, ...] = (3.0, -3.0, 0.5, -0.5, 1.3, -1.3),
+    distance: tuple[float, ...] = (3.0, -3.0, 0.5, -0.5, 1.3, -1.3, 1.8, -1.8),
     error: float | None = None,
     cost: float | None = None,
 ) -> Arguments:
@@ -263,18 +263,18 @@ _UNKNOWN = "an error of nan or inf says that nothing is known: record."
 DECIDE_KINDS = (
     Kind("", _draw_decide),
     Kind(
-        "the gain is 1.98 errors above the cost",
-        partial(_draw_decide, distance=(1.98,)),
+        "the gain is 1.963 errors above the cost",
+        partial(_draw_decide, distance=(1.963,)),
         _95,
     ),
     Kind(
-        "the gain is 1.94 errors below the cost",
-        partial(_draw_decide, distance=(-1.94,)),
+        "the gain is 1.957 errors below the cost",
+        partial(_draw_decide, distance=(-1.957,)),
         _95,
     ),
     Kind(
-        "the gain is 1.98 errors below the cost",
-        partial(_draw_decide, distance=(-1.98,)),
+        "the gain is 1.963 errors below the cost",
+        partial(_draw_decide, distance=(-1.963,)),
         _95,
     ),
     Kind("the error is nan", partial(_draw_decide, error=float("nan")), _UNKNOWN),
@@ -292,7 +292,7 @@ DECIDE_KINDS = (
     Kind("the cost is 0", partial(_draw_decide, cost=0.0), "the cost may be 0."),
     Kind(
         "the cost is negative",
-        partial(_draw_decide, cost=-1.5),
+        partial(_draw_decide, cost=-1.5, distance=(3.0,)),
         "the cost may be negative, where a change saves something.",
     ),
 )

@@ -78,6 +78,7 @@ def _draw(
     is_certain: bool = False,
     target_has_zeros: bool = False,
     sign: float | None = None,
+    scale: float = 1.0,
 ) -> Drawn:
     """Draw a problem; with a sign, all rewards have it."""
     parts, policy = draw_situation(
@@ -91,7 +92,7 @@ def _draw(
     if sign is not None:
         r = sign * np.round(rng.uniform(0.2, 1.5, size=parts.r.shape), 2)
         parts = parts._replace(r=r)
-    return Drawn(parts, policy, target)
+    return Drawn(parts._replace(r=scale * parts.r), policy, target)
 
 
 def _for_shift(
@@ -138,6 +139,7 @@ def _for_limit(
 _DRAWS = (
     ("", _draw),
     ("the discount is 0.99", partial(_draw, discount=0.99)),
+    ("the discount is 0.5", partial(_draw, discount=0.5)),
     ("all rewards are positive", partial(_draw, sign=1.0)),
     ("all rewards are negative", partial(_draw, sign=-1.0)),
     ("the policy takes one action in each state", partial(_draw, is_certain=True)),
@@ -146,6 +148,7 @@ _DRAWS = (
         partial(_draw, n_states=2, n_actions=4),
     ),
     ("the target has zeros", partial(_draw, target_has_zeros=True)),
+    ("rewards are in ten thousands", partial(_draw, scale=1e4)),
 )
 
 SHIFT_KINDS = (

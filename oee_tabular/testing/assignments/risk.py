@@ -210,6 +210,14 @@ BOX_KINDS = (
     ),
 )
 
+
+def _draw_concentrated(rng: np.random.Generator) -> Arguments:
+    """Draw a p that is nearly all on an outcome that q seldom has, so that l is near -1."""
+    q = np.concatenate([[0.02], 0.98 * (0.2 + rng.dirichlet(np.ones(4))) / 1.8])
+    p = np.concatenate([[0.97], 0.03 * rng.dirichlet(np.full(4, 5.0))])
+    return {"p": p, "q": q, "nu": 0.2, "mu": 3.0}
+
+
 _ABOVE = "q @ g of the cut ratio is above 1: here l > 0, and 1 + l > 1."
 _BELOW = "q @ g of the cut ratio is below 1: here l < 0, and 1 + l < 1."
 
@@ -255,6 +263,11 @@ NORMALISED_KINDS = (
         "there are 40 outcomes",
         partial(_draw_feasible, partial(_draw_box, size=40)),
         "the arrays may have any length.",
+    ),
+    Kind(
+        "nearly all of p is on an outcome that q seldom has",
+        _draw_concentrated,
+        "l may be near -1, or large: search 1 + l from nearly 0 on, and far up.",
     ),
 )
 
