@@ -118,7 +118,7 @@ return V
     "3_occupancy": """
 state = mu
 d = np.zeros(policy.shape)
-for t in range(2000):
+for t in range(30_000):
     d += (1 - discount) * discount**t * state[:, None] * policy
     state = np.einsum("s,sa,sat->t", state, policy, P)
 return d
@@ -167,7 +167,7 @@ return [
 n, k = r.shape
 V, d = np.zeros(n), np.zeros((n, k))
 state = mu.copy()
-for t in range(1500):
+for t in range(4000):
     V = (policy * (r + discount * P @ V)).sum(axis=1)
     d += (1 - discount) * discount**t * state[:, None] * policy
     state = np.einsum("s,sa,sat->t", state, policy, P)
@@ -212,7 +212,7 @@ P = counts / counts.sum(axis=2, keepdims=True)
 J, d, V = [], [], []
 for policy in (running, candidate):
     v, x, state = np.zeros(len(r)), np.zeros(r.shape), mu.copy()
-    for t in range(1500):
+    for t in range(4000):
         v = (policy * (r + discount * P @ v)).sum(axis=1)
         x += discount**t * state[:, None] * policy
         state = np.einsum("s,sa,sat->t", state, policy, P)
@@ -334,7 +334,7 @@ WRONG = [
         "g = np.clip(p / q, nu, mu)\nreturn g / (q @ g)",
         "the scale alone",
     ),
-    ("1_minimiser", "np.clip(p / q, mu, nu)", "at the end"),
+    ("1_minimiser", "np.clip(p / q, mu, nu)", "Hint"),
     ("1_minimiser", "np.clip(p, nu, mu) / np.clip(q, nu, mu)", "found alone"),
     ("1_normalised", "np.clip(p / q, nu, mu)", "inside of the box must change"),
     ("1_normalised", "g = np.clip(p / q, nu, mu)\nreturn g / (q @ g)", "one factor"),
@@ -347,7 +347,7 @@ WRONG = [
     (
         "1_normalised",
         "g = np.clip(p / q, nu, mu)\nreturn g + (1 - q @ g)",
-        "bisection",
+        "share a factor",
     ),
     ("2_support", "bool(np.all((simulator > 0) <= (target > 0)))", "other way round"),
     ("2_support", "bool(np.all((simulator > 0) == (target > 0)))", "not be equal"),
@@ -357,8 +357,8 @@ WRONG = [
         "bool(np.all((simulator > 0) | (target < 1e-6)))",
         "small probability",
     ),
-    ("2_support", "True", "leaves the simulator's support"),
-    ("2_support", "False", "stays in the simulator's support"),
+    ("2_support", "True", "always True"),
+    ("2_support", "False", "always False"),
     ("2_support", "(simulator > 0) | (target == 0)", "True or False"),
     ("2_ratio", "simulator / target", "target over simulator"),
     ("2_ratio", "target / simulator", "0 / 0 is nan"),
@@ -424,7 +424,7 @@ WRONG = [
         "3_values",
         "V = np.zeros(len(r))\nfor _ in range(40):\n"
         "    V = (policy * (r + discount * P @ V)).sum(1)\nreturn V",
-        "stops too early",
+        "iterate V",
     ),
     (
         "3_values",
@@ -678,7 +678,7 @@ WRONG = [
     (
         "5_bootstrap",
         RETURNS + "return returns[rng.integers(n - 1, size=(n_resamples, n))].mean(1)",
-        "as many episodes",
+        "last episode is never drawn",
     ),
     ("6_costs", SOLVED + "return f**2 * d * spread", "enters squared"),
     ("6_costs", SOLVED + "return d**2 * spread", "is missing"),
@@ -696,7 +696,7 @@ WRONG = [
         SOLVED + "return (f * d.sum(1, keepdims=True)) ** 2 * spread",
         "not in the state",
     ),
-    ("6_costs", SOLVED + "return (f * d) ** 2 * P.var(axis=2)", "the occupancy"),
+    ("6_costs", SOLVED + "return (f * d) ** 2 * P.var(axis=2)", "not of the"),
     ("6_design", "n * costs / costs.sum()", "root of the cost"),
     ("6_design", "np.full(costs.shape, n / costs.size)", "equal costs"),
     ("6_design", "np.sqrt(costs) / np.sqrt(costs).sum()", "multiply by n"),
@@ -866,6 +866,6 @@ WRONG = [
     ("8_need", "np.ceil(n * (error / (gain - cost)) ** 2)", "1.96 is missing"),
     ("8_need", "np.ceil(n * (1.96 * error / gain) ** 2)", "exceed the cost"),
     ("8_need", "np.ceil((1.96 * error / (gain - cost)) ** 2)", "multiply by n"),
-    ("8_need", "np.ceil(n * (1.96 * error / (gain - cost)) ** 2)", "enough: inf"),
+    ("8_need", "np.ceil(n * (1.96 * error / (gain - cost)) ** 2)", "is enough: inf"),
     ("8_need", "n * (1.96 * error / (gain - cost)) ** 2", "round up"),
 ]

@@ -1,36 +1,167 @@
 """Grade students' notebooks without nbgrader, by the tests of ``source``.
 
-python notebooks/assignments/grade.py submitted/*/risk.ipynb --output grades.csv
+python notebooks/assignments/grade.py submitted --output grades.csv
 
-A notebook is known by its name (``risk.ipynb``). Its test cells are replaced by the
-instructor's, so that nothing a student changes in them counts. Each notebook runs in a
-process of its own, in an empty folder. That keeps mistakes apart; it is no sandbox, so
-run it where a student's program may run.
+A folder has one folder for each student, with that student's notebooks in it or in
+folders of the assignments, as nbgrader has them: ``submitted/anna/risk.ipynb`` or
+``submitted/anna/assignment_1/risk.ipynb``. A notebook is known by its name. Its test
+cells are replaced by the instructor's, so that nothing a student changes in them counts.
+
+A row is written as soon as a notebook is graded, a total as soon as a student is. What
+cannot be graded is a row with its reason. Each notebook runs in a process of its own, in
+an empty folder. That keeps mistakes apart; it is no sandbox, so run it where a student's
+program may run.
 """
 
 import argparse
+import contextlib
 import csv
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import tempfile
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 SECONDS = 300  # that one notebook may run
-COLUMNS = ("file", "test", "points", "of", "message")
+COLUMNS = ("student", "assignment", "points", "of", "message", "file")
+TEST_COLUMNS = ("student", "assignment", "test", "points", "of", "message")
+TOTAL = "total"  # in the column of the assignment
+SKIPPED = re.compile(r"^\.|^__")  # hidden folders, as .ipynb_checkpoints
+ASSIGNMENT = re.compile(r"^assignment_\d+$")
+COPY = re.compile(r"( ?\(\d+\)|-Copy\d+)$")  # that browsers and Jupyter add to a name
 
 
-def source_of(path):
-    """Return the cells of the instructor's notebook of a submission."""
-    found = sorted((FOLDER / "source").glob(f"assignment_*/{path.name}"))
-    if not found:
-        names = sorted(p.name for p in (FOLDER / "source").glob("assignment_*/*.ipynb"))
-        raise ValueError(
-            f"{path} must have the name of an assignment: {', '.join(names)}"
+def assignments():
+    """Return the instructor's notebooks by the names of their files."""
+    paths = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
+    return {path.name: path for path in paths}
+
+
+def points_of(path):
+    """Return the points of the instructor's notebook."""
+    return sum(points for _, points, _ in read_cells(path) if points is not None)
+
+
+@dataclass
+class Submission:
+    """A notebook of a student, or one that is missing: then ``path`` is None."""
+
+    student: str
+    name: str
+    path: Path | None = None
+    tests: list = field(default_factory=list)  # (name, points, of, message)
+    problem: str = ""
+
+    @property
+    def assignment(self):
+        """Return the folder's name of the assignment, or "" where it is none."""
+        source = assignments().get(self.name)
+        return source.parent.name if source else ""
+
+    @property
+    def points(self):
+        """Return the points that were reached."""
+        return sum(points for _, points, _, _ in self.tests)
+
+    @property
+    def most(self):
+        """Return the points that can be reached; none where it counts nothing."""
+        source = assignments().get(self.name)
+        return (
+            points_of(source) if source and not self.problem.startswith("not ") else 0
         )
-    return read_cells(found[0])
+
+    @property
+    def message(self):
+        """Return why points are missing, in one line."""
+        if self.problem:
+            return self.problem
+        lost = {}  # tests by their message: a notebook that hangs loses many by one
+        for name, _, _, why in self.tests:
+            if why:
+                lost.setdefault(first_line(why), []).append(name)
+        return "; ".join(f"{', '.join(names)}: {why}" for why, names in lost.items())
+
+
+def first_line(text):
+    """Return the first line of a text."""
+    return text.splitlines()[0] if text else ""
+
+
+def student_of(path):
+    """Return whose notebook it is: the folder above the file, or above assignment_N."""
+    folder = path.resolve().parent
+    if ASSIGNMENT.match(folder.name):
+        folder = folder.parent
+    return folder.name
+
+
+def name_of(path):
+    """Return the name of an assignment's notebook, without what a copy adds to it."""
+    return COPY.sub("", path.stem) + path.suffix
+
+
+def find_notebooks(given):
+    """Return the notebooks of files and folders, each once."""
+    found = []
+    for path in given:
+        if path.is_dir():
+            inside = [
+                notebook
+                for notebook in sorted(path.rglob("*.ipynb"))
+                if not any(map(SKIPPED.match, notebook.relative_to(path).parts))
+            ]
+            if not inside:
+                raise ValueError(f"{path} must have notebooks (.ipynb); it has none")
+            found += inside
+        else:
+            found.append(path)
+    return list(dict.fromkeys(found))
+
+
+def sort_submissions(paths):
+    """Return the submissions of each student, and what each of them has not handed in.
+
+    Expected is every assignment that some student has handed in.
+    """
+    known = assignments()
+    asked = [name for name in known if any(name_of(path) == name for path in paths)]
+    by_student = {}
+    for path in paths:
+        by_student.setdefault(student_of(path), []).append(path)
+    for student, theirs in by_student.items():
+        submissions, seen = [], {}
+        for path in theirs:
+            one = Submission(student, name_of(path), path)
+            if one.name not in known:
+                one.problem = (
+                    "not graded: it must have the name of an assignment,"
+                    f" {', '.join(sorted(known))}"
+                )
+            elif one.name in seen:
+                one.problem = f"not graded: handed in twice, see {seen[one.name]}"
+            seen.setdefault(one.name, path)
+            submissions.append(one)
+        for name in asked:
+            if name not in seen:
+                missing = Submission(student, name)
+                missing.tests = [
+                    (test, 0, most, "") for test, most, _ in tests_of(known[name])
+                ]
+                missing.problem = "handed in nothing"
+                submissions.append(missing)
+        yield student, submissions
+
+
+def tests_of(source):
+    """Return the instructor's test cells: (grade id, points, text)."""
+    return [cell for cell in read_cells(source) if cell[1] is not None]
 
 
 def read_cells(path):
@@ -44,17 +175,26 @@ def read_cells(path):
             for about in [cell["metadata"].get("nbgrader", {})]
         ]
     except OSError as error:
-        raise ValueError(f"{path} must be a file: {error.strerror}") from None
-    except (KeyError, TypeError, AttributeError, ValueError):
-        raise ValueError(f"{path} must be a notebook of format 4") from None
+        raise ValueError(f"it must be a file: {error.strerror}") from None
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError):
+        raise ValueError("it must be a notebook of format 4") from None
 
 
 def merge(submitted, source):
-    """Return the student's cells with the instructor's tests, each of them once."""
-    tests = {name: (name, n, text) for name, n, text in source if n is not None}
+    """Return the student's cells with the instructor's tests, each of them once.
+
+    Before each test the instructor's imports run again, so that a student's variable of
+    the name ``check`` does not stand in its place.
+    """
+    imports = source[0][2]
+    tests = {
+        name: (name, n, f"{imports}\n\n{text}")
+        for name, n, text in source
+        if n is not None
+    }
     merged = []
     for name, points, text in submitted:
-        if name in tests:
+        if isinstance(name, str) and name in tests:
             merged.append(tests.pop(name))
         elif points is None:
             merged.append((name, None, text))
@@ -62,62 +202,166 @@ def merge(submitted, source):
 
 
 def run(path):
-    """Run the cells of stdin; write a line of JSON for each test into a file."""
+    """Run the cells of stdin; write a line of JSON before and after each into a file."""
     names = {"__name__": "__main__"}
     with open(path, "w", encoding="utf-8") as results:
-        for name, points, text in json.load(sys.stdin):
+
+        def say(*what):
+            results.write(json.dumps(what) + "\n")
+            results.flush()
+
+        for number, (name, points, text) in enumerate(json.load(sys.stdin)):
             code = "\n".join(
                 line for line in text.split("\n") if line.lstrip()[:1] not in ("%", "!")
             )
+            say("begun", name or f"code cell {number + 1}")
             message = ""
             try:
                 exec(compile(code, name or "cell", "exec"), names)
-            except (Exception, SystemExit) as error:
+            except (Exception, SystemExit, KeyboardInterrupt) as error:
                 message = f"{type(error).__name__}: {error}"
             if points is not None:
-                results.write(json.dumps([name, message]) + "\n")
-                results.flush()
+                say("tested", name, message)
 
 
-def grade(path, seconds=SECONDS):
-    """Return a row of the table for each test of a submission."""
-    source = source_of(path)  # which refuses other names first
-    cells = merge(read_cells(path), source)
+def stop(process):
+    """End a process and what it has started."""
+    if os.name == "posix":
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.wait()
+
+
+def grade(path, source, seconds=SECONDS):
+    """Return what each test of a notebook says: (name, points, of, message)."""
+    cells = merge(read_cells(path), read_cells(source))
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder) / "results"
+        results.touch()
         empty = Path(folder) / "empty"
         empty.mkdir()
-        late = f"it ran longer than {seconds} s"
+        process = subprocess.Popen(
+            [sys.executable, str(FOLDER / "grade.py"), "--run", str(results)],
+            stdin=subprocess.PIPE,
+            text=True,
+            cwd=empty,
+            env=os.environ | {"MPLBACKEND": "agg"},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # so that it can be ended with its children
+        )
         try:
-            subprocess.run(
-                [sys.executable, str(FOLDER / "grade.py"), "--run", str(results)],
-                input=json.dumps(cells),
-                text=True,
-                cwd=empty,
-                env=os.environ | {"MPLBACKEND": "agg"},
-                timeout=seconds,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                check=False,
-            )
+            process.communicate(json.dumps(cells), timeout=seconds)
+            late = f"the notebook ended its process (exit code {process.returncode})"
         except subprocess.TimeoutExpired:
-            pass
-        else:
-            late = "the notebook ended its process"
-        lines = results.read_text(encoding="utf-8").splitlines()
-        said = dict(json.loads(line) for line in lines)
+            late = f"it ran longer than {seconds:g} s"
+        finally:
+            stop(process)
+        said, last = {}, ""
+        for line in results.read_text(encoding="utf-8").splitlines():
+            with contextlib.suppress(ValueError):  # a line that was cut off
+                what, name, *message = json.loads(line)
+                if what == "tested":
+                    said[name] = message[0]
+                last = name
+    late += f", in {last}" if last else ""
     return [
-        (str(path), name, 0 if (why := said.get(name, late)) else points, points, why)
+        (name, 0 if (why := said.get(name, late)) else points, points, why)
         for name, points, _ in cells
         if points is not None
     ]
 
 
+class Table:
+    """A CSV file whose rows are on the disk as soon as they are written."""
+
+    def __init__(self, path, columns):
+        """Open the file and write its first line; without a path do nothing."""
+        self.file = path.open("w", encoding="utf-8", newline="") if path else None
+        self.write(columns)
+
+    def write(self, row):
+        """Write a row."""
+        if self.file:
+            csv.writer(self.file).writerow(row)
+            self.file.flush()
+            os.fsync(self.file.fileno())
+
+
+def grade_all(paths, seconds, grades, tests):
+    """Grade notebooks student by student; return the totals and the problems."""
+    known = assignments()
+    totals, problems = {}, []
+    for student, submissions in sort_submissions(paths):
+        for one in submissions:
+            if not one.problem:
+                try:
+                    one.tests = grade(one.path, known[one.name], seconds)
+                except (ValueError, OSError) as error:
+                    one.problem = f"could not be read: {error}"
+                    one.tests = [
+                        (name, 0, most, one.problem)
+                        for name, most, _ in tests_of(known[one.name])
+                    ]
+            report(one)
+            if one.problem and one.path:
+                problems.append(f"{one.path}: {one.problem}")
+            file = str(one.path or "")
+            grades.write(
+                (student, one.assignment, one.points, one.most, one.message, file)
+            )
+            for name, points, most, why in one.tests:
+                tests.write((student, one.assignment, name, points, most, why))
+        points = sum(one.points for one in submissions)
+        most = sum(one.most for one in submissions)
+        totals[student] = points, most
+        grades.write((student, TOTAL, points, most, "", ""))
+    return totals, problems
+
+
+def report(one):
+    """Print the points of a notebook, and what each missing point was for."""
+    name = one.path or f"{one.student}, {one.name}"
+    print(f"{name}: {one.points} of {one.most} points", flush=True)
+    if one.problem:
+        print(f"  {one.problem}", flush=True)
+        return
+    for test, points, most, why in one.tests:
+        if why:
+            print(f"  {test}: {points} of {most}: {first_line(why)}", flush=True)
+
+
+def summarise(totals, problems):
+    """Print the total of each student, and what could not be graded."""
+    print(f"\n{len(totals)} student{'s' if len(totals) != 1 else ''}")
+    for student, (points, most) in totals.items():
+        print(f"  {student}: {points} of {most}")
+    repeated = Counter(problems)
+    if repeated:
+        print(f"{len(repeated)} not graded")
+        for problem in repeated:
+            print(f"  {problem}")
+
+
 def main():
-    """Grade the files of the command line, and print the sum of each."""
+    """Grade the files and folders of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("files", nargs="*", type=Path, help="Submitted notebooks.")
-    parser.add_argument("--output", type=Path, help="Write all rows to this CSV file.")
+    parser.add_argument(
+        "files",
+        nargs="*",
+        type=Path,
+        help="Submitted notebooks, or folders of them (one folder for each student).",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="Write a row for each notebook and a total for each student to this CSV"
+        " file, each as soon as it is known.",
+    )
+    parser.add_argument(
+        "--tests", type=Path, help="Write a row for each test to this CSV file."
+    )
     parser.add_argument(
         "--seconds", type=float, default=SECONDS, help="Time for one notebook."
     )
@@ -125,24 +369,32 @@ def main():
     options = parser.parse_args()
     if options.run:
         run(options.run)
-        return
+        return 0
     if not options.files:
-        parser.error("give the notebooks to grade")
-    rows = []
-    for path in options.files:
-        try:
-            mine = grade(path, options.seconds)
-        except ValueError as error:
-            parser.error(str(error))
-        rows += mine
-        print(f"{path}: {sum(r[2] for r in mine)} of {sum(r[3] for r in mine)} points")
-        for _, name, points, _, why in mine:
-            if why:
-                print(f"  {name}: {points}: {why.splitlines()[0]}")
-    if options.output:
-        with options.output.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows([COLUMNS, *rows])
+        parser.error("give the notebooks to grade, or their folder")
+    if not 0 < options.seconds < float("inf"):
+        parser.error(f"--seconds must be above 0; it is {options.seconds:g}")
+    try:
+        paths = find_notebooks(options.files)
+        tables = [
+            Table(path, columns)
+            for path, columns in (
+                (options.output, COLUMNS),
+                (options.tests, TEST_COLUMNS),
+            )
+        ]
+    except ValueError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be written: {error.strerror}")
+    try:
+        totals, problems = grade_all(paths, options.seconds, *tables)
+    except KeyboardInterrupt:
+        print("\nStopped. What was graded is in the tables.", flush=True)
+        return 130
+    summarise(totals, problems)
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,14 +9,17 @@ import json
 import os
 import re
 import runpy
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import nbformat
 import numpy as np
 import pytest
 from assignment_answers import SECOND_KIND, WRONG, written
+from assignment_mistakes import MORE_WRONG
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,7 +30,8 @@ from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_ca
 
 FOLDER = Path(__file__).parents[2] / "notebooks" / "assignments"
 SOURCES = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
-ALL_CASES = [*range(5), *range(10, 40)]  # what the visible and the hidden tests try
+ALL_CASES = range(40)  # what the visible and the hidden tests try
+ALL_WRONG = [*WRONG, *MORE_WRONG]
 
 
 def read(path):
@@ -72,30 +76,65 @@ def test_right_answers_of_two_kinds_are_accepted(exercise, capsys):
 
 @pytest.mark.parametrize(
     ("exercise", "text", "word"),
-    WRONG,
-    ids=[f"{n}-{k}" for k, (n, *_) in enumerate(WRONG)],
+    ALL_WRONG,
+    ids=[f"{n}-{k}" for k, (n, *_) in enumerate(ALL_WRONG)],
 )
 def test_a_wrong_answer_is_refused_with_its_hint(exercise, text, word):
-    said = refusal(exercise, written(exercise, text))
+    """The cases that a student sees are enough, and so are the hidden ones alone."""
+    answer = written(exercise, text)
+    said = refusal(exercise, answer, range(10))
     assert word in said
     assert "Hint: " in said
+    refusal(exercise, answer, range(10, 40))
 
 
-def test_ten_wrong_answers_are_tried_for_each_assignment():
-    tried = collections.Counter(name[0] for name, _, _ in WRONG)
-    assert set(tried) == {name[0] for name in TASKS} == set("12345678")
+def test_ten_wrong_answers_are_tried_for_each_exercise():
+    tried = collections.Counter(name for name, _, _ in ALL_WRONG)
+    assert set(tried) == set(TASKS) == set(SECOND_KIND)
     assert min(tried.values()) >= 10
-    assert {name for name, _, _ in WRONG} == set(TASKS) == set(SECOND_KIND)
+
+
+@pytest.mark.parametrize("exercise", TASKS)
+def test_ten_cases_are_of_every_kind(exercise):
+    task = assignments._TASKS[exercise]
+    assert not task.kinds[0].about
+    assert all(kind.about for kind in task.kinds[1:])
+    assert len({kind.about for kind in task.kinds}) == len(task.kinds)
+    assert len(task.kinds) <= len(assignments.VISIBLE_CASES) == 10
+
+
+def test_a_case_has_what_its_kind_says():
+    """The special values that a wrong answer is told of are in the arguments."""
+    for case in range(40):
+        kind = assignments._TASKS["2_counts"].kind_of(case).about
+        counts, simulator = draw_case("2_counts", case).values()
+        is_possible = (simulator > 0) | (counts == 0)
+        assert is_possible.all() == (kind.find("never makes") < 0)
+        assert (simulator < 1e-5).any() == bool(
+            re.search("has zeros|1e-6|never", kind)
+        ) or (kind in ("two pairs were never recorded", "nothing was recorded"))
+        if "recorded" in kind:
+            assert (counts.sum(axis=-1) == 0).any()
+        target, simulator = draw_case("2_ratio", case).values()
+        assert (target[simulator == 0] == 0).all()
+        np.testing.assert_allclose(target.sum(axis=-1), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(simulator.sum(axis=-1), 1.0, rtol=1e-12)
+    outside = [
+        (target > 0) & (simulator == 0)
+        for case in range(10)
+        for target, simulator in [draw_case("2_support", case).values()]
+    ]
+    assert 3 <= sum(found.any() for found in outside) <= 6
 
 
 NO_ANSWERS = [
     ("seven", "the text 'seven'"),
     ("", "the text ''"),
     ([1.0, 2.0], r"numbers of shape \(2,\)"),
-    ([[1], [1, 2]], "a list"),
+    ([[1], [1, 2]], "a list whose parts differ in length"),
     (3.5, "the number 3.5"),
     (True, "it is True"),
-    ({"risk": 1}, "a dict"),
+    ({"risk": 1}, "a dictionary"),
     (np.zeros((2, 2)), r"numbers of shape \(2, 2\)"),
     (None, "not answered yet"),
     (..., "not answered yet"),
@@ -136,6 +175,125 @@ def test_what_is_no_result_is_refused_in_a_sentence(exercise, value):
     said = refusal(exercise, lambda *_: value)
     assert re.search(r"(must return .+; it returns|returns nothing)", said)
     assert "Hint: " in said
+
+
+def arrays_of(result):
+    """Results that are none, made of a right one, and the words that are said."""
+    array = np.asarray(result, dtype=float)
+    return [
+        (np.full(array.shape, np.nan), "is nan, and|returns nan, and"),
+        (np.full(array.shape, np.inf), "is inf, and|returns inf, and"),
+        (np.stack([array, array]), r"it returns numbers of shape \(2,"),
+        (np.zeros((0, *array.shape)), r"it returns numbers of shape \(0,"),
+        (array.astype(str), "of texts|the text"),
+        (array.astype(complex), "complex number"),
+        (array.astype(object), "objects that are no numbers"),
+        (array.astype(str).tolist(), "of texts|the text"),
+        (array.astype(bool), "must return .* it returns .*(True|False)"),
+        ({"a": array}, "a dictionary"),
+        (type("Answer", (), {}), "the class Answer"),
+    ]
+
+
+@pytest.mark.parametrize("exercise", TASKS)
+def test_a_result_of_another_kind_is_named_in_plain_words(exercise):
+    task = assignments._TASKS[exercise]
+    right = task.solve(*draw_case(exercise, 0).values())
+    if right is None:
+        right = np.zeros(4000)
+    if isinstance(right, str):
+        right = 1.0
+    for value, words in arrays_of(right):
+        said = refusal(exercise, lambda *_, value=value: value)
+        if "must return" not in words and isinstance(right, bool):
+            words = "must return True or False; it returns"
+        if exercise == "8_decide":
+            words = "must return 'deploy' or 'keep' or 'record'; it returns"
+        if exercise == "5_bootstrap":
+            words += "|is nan or inf"
+        if not isinstance(right, bool):
+            assert re.search(words, said), said
+        assert "Hint: " in said
+        assert " a ndarray" not in said
+
+
+@pytest.mark.parametrize("exercise", TASKS)
+def test_an_argument_that_is_changed_is_named(exercise):
+    def spoil(*arguments):
+        result = first_kind()[function_of(exercise)](*arguments)
+        for value in arguments:
+            if isinstance(value, np.ndarray):
+                value += value.dtype.type(1)
+                break
+        return result
+
+    names = [
+        name
+        for name, value in draw_case(exercise, 0).items()
+        if isinstance(value, np.ndarray)
+    ]
+    if names:
+        assert f"changes its argument {names[0]}; work" in refusal(exercise, spoil)
+    else:
+        assert exercise in ("8_decide", "8_need")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda x: 2 * x, "right result times 2;"),
+        (lambda x: -x, "the sign is wrong"),
+        (lambda x: 3.7 * x, "every entry is the right one times 3.7;"),
+        (lambda x: x + 5, "every entry is the right one plus 5;"),
+        (lambda x: x[::-1], "in the reverse order"),
+        (lambda x: np.trunc(x), "the fractions are cut off"),
+        (lambda x: np.round(x, 3), "rounded to 3 digits"),
+        (lambda x: x * (1 + 1e-5), "this is close and not exact"),
+        (lambda x: 0 * x, "all entries are 0"),
+        (lambda x: np.where(x == x.max(), np.nan, x), "1 of 5 entries is wrong"),
+        (lambda x: np.where(x == x.max(), np.nan, x), "is nan, and"),
+        (lambda x: np.where(x == x.max(), np.nan, 2 * x), "5 of 5 entries are wrong"),
+    ],
+)
+def test_a_pattern_of_all_entries_is_named(change, said):
+    right = first_kind()["state_values"]
+    assert said in refusal(
+        "3_values", lambda P, r, policy, discount: change(right(P, r, policy, discount))
+    )
+
+
+def test_a_wrong_entry_is_named_with_what_is_there():
+    def ratio(target, simulator):
+        return target / np.maximum(simulator, 1e-3)
+
+    said = refusal("2_ratio", lambda target, simulator: ratio(target, simulator))
+    assert re.search(
+        r"in case 3, where probabilities of both are near 1e-6: entry"
+        r" \[(\d), (\d), (\d)\] is 0\.002, and 2 is right\. This is state \1, action"
+        r" \2, next state \3, where target is 2e-06 and simulator is 9\.99999e-07\."
+        r" \d+ of \d+ entries are wrong\."
+        r" Hint: divide by the simulator's probability as it is",
+        said,
+    )
+    assert said.endswith('Its arguments: draw_case("2_ratio", 3).')
+
+
+def test_two_numbers_that_look_alike_get_more_digits():
+    said = refusal("1_risk", lambda g, p, q: q @ g - p @ np.log(g) + 1e-6)
+    found, right = re.search(r"it returns (\S+), and (\S+) is right", said).groups()
+    assert found != right
+
+
+def test_an_error_in_a_special_case_says_what_is_special():
+    def need(gain, error, cost, n):
+        return np.ceil(n * (1.96 * error / (gain - cost)) ** 2)
+
+    answer = lambda gain, error, cost, n: need(gain, error, cost, n)  # noqa: E731
+    said = refusal("8_need", answer)
+    assert "raises ZeroDivisionError" in said
+    assert (
+        "This happens in case 1, where the gain equals the cost: where the gain" in said
+    )
 
 
 @pytest.mark.parametrize("exercise", TASKS)
@@ -242,7 +400,7 @@ def test_warnings_and_the_error_stream_stay_silent(capfd):
         print("seen", file=sys.stderr)
         return np.nansum([q @ g - np.where(p > 0, p * np.log(g), 0).sum()])
 
-    check("1_risk", risk, cases=ALL_CASES)
+    check("1_risk", risk)
     assert capfd.readouterr().err == ""
 
 
@@ -295,7 +453,7 @@ def test_the_risk_is_the_paper_s():
 
 def test_the_design_reaches_the_efficiency_bound():
     """The costs by the shares sum to the bound, and Neyman's shares have the least."""
-    for case in range(8):
+    for case in range(0, 80, 10):  # plain ones, where every pair has a cost
         P, r, mu, policy, discount = draw_case("6_costs", case).values()
         mdp = oee.FiniteMDP(P, r, mu, discount)
         costs = first_kind()["costs"](P, r, mu, policy, discount)
@@ -360,6 +518,7 @@ def test_the_released_notebooks_are_those_that_the_script_makes(path):
         assert "BEGIN" not in line
         assert "END" not in line
     assert "cases=range(10" not in text
+    assert "import check, draw_case\\n" in text
     assert (
         text.count("raise NotImplementedError()\n") == 0 or "# YOUR CODE HERE" in text
     )
@@ -428,14 +587,75 @@ def test_nbgrader_makes_the_same_cells(path):
     assert [c.metadata for c in book.cells] == [c.metadata for c in ours.cells]
 
 
+def week_of_each_assignment():
+    """Week -> number of the assignment, by the syllabus."""
+    syllabus = (FOLDER.parent / "syllabus.md").read_text()
+    rows = re.findall(r"^\| (\d) \|.*release/assignment_(\d)/", syllabus, re.M)
+    return dict(rows)
+
+
+def test_page_syllabus_and_notebooks_name_the_same_weeks():
+    page = (FOLDER.parent / "assignments.md").read_text()
+    rows = re.findall(r"^\| \[(\d)\]\(syllabus.md.*?\) \| (\d) \|", page, re.M)
+    assert dict(rows) == week_of_each_assignment()
+    assert [week for week, _ in rows] == list("12345678")
+    for path in SOURCES:
+        number = path.parent.name[-1]
+        [week] = [w for w, k in rows if k == number]
+        assert f"for week {week} of the course" in " ".join(
+            read(path).cells[0].source.split()
+        )
+
+
+def test_the_page_says_the_points_and_what_is_graded():
+    page = (FOLDER.parent / "assignments.md").read_text()
+    shown = re.findall(r"^\| (\d) \| `(\w+)` \| (\d) \| (\d) \| (\S.*) \|$", page, re.M)
+    expected = []
+    for path in SOURCES:
+        points = {
+            about(cell)["grade_id"]: str(about(cell)["points"])
+            for cell in code_cells(read(path))
+            if about(cell).get("grade")
+        }
+        for name in TASKS:
+            number, _, word = name.partition("_")
+            if path.parent.name == f"assignment_{number}":
+                ids = [f"assignment_{number}_{word}_{x}" for x in ("visible", "hidden")]
+                expected.append((number, function_of(name), *map(points.get, ids)))
+    assert [row[:4] for row in shown] == expected
+    assert all(len(row[4]) > 20 for row in shown)
+    kinds = {
+        function_of(name): " ".join(kind.about for kind in task.kinds)
+        for name, task in assignments._TASKS.items()
+    }
+    for _, name, _, _, text in shown:
+        for number in re.findall(r"0\.999|0\.99|150|1\.957|1\.963|1e-9|1e6", text):
+            assert number in kinds[name], (name, number)
+    texts = {row[1]: row[4] for row in shown}
+    for name, suspects in (
+        ("shift_law", assignments.estimator_law.SHIFT_SUSPECTS),
+        ("limit_law", assignments.estimator_law.LIMIT_SUSPECTS),
+    ):
+        n_right = sum(suspect.is_right for suspect in suspects)
+        n_wrong = len(suspects) - n_right
+        said = (
+            f"which of {n_right + n_wrong} estimators it lets pass: {n_right} obey the"
+        )
+        assert texts[name].startswith(f"{said} law and {n_wrong} break it")
+
+
 def test_the_page_says_what_is_there():
     page = (FOLDER.parent / "assignments.md").read_text()
-    rows = re.findall(r"^\| (\d) \| .*\]\((assignments/release/.*)\) \|$", page, re.M)
+    rows = re.findall(
+        r"^\| \[\d\]\(\S+\) \| (\d) \| .*\]\((assignments/release/.*)\) \| 10 \|$",
+        page,
+        re.M,
+    )
     expected = [
         (path.parent.name[-1], make()["released"](path).relative_to(FOLDER.parent))
         for path in SOURCES
     ]
-    assert [(number, Path(name)) for number, name in rows] == expected
+    assert sorted((number, Path(name)) for number, name in rows) == expected
     for name in re.findall(r"\]\(([^)#]+\.(?:md|ipynb))", page):
         assert (FOLDER.parent / name).is_file(), name
     tolerances = {
@@ -467,12 +687,14 @@ def run_grade(*arguments, folder):
 
 def test_the_instructors_notebooks_get_all_points_from_an_empty_folder(tmp_path):
     found = run_grade(*SOURCES, "--output", "grades.csv", folder=tmp_path)
-    assert found.stdout.splitlines() == [f"{path}: 10 of 10 points" for path in SOURCES]
+    assert found.stdout.splitlines() == [
+        *(f"{path}: 10 of 10 points" for path in SOURCES),
+        *("", "1 student", "  source: 80 of 80"),
+    ]
     assert (found.stderr, found.returncode) == ("", 0)
     assert [path.name for path in tmp_path.iterdir()] == ["grades.csv"]
-    text = (tmp_path / "grades.csv").read_text()
-    rows = list(csv.DictReader(text.splitlines()))
-    assert len(rows) == 2 * len(TASKS)
+    rows = table_of(tmp_path / "grades.csv")
+    assert len(rows) == len(SOURCES) + 1
     assert all(row["points"] == row["of"] and not row["message"] for row in rows)
 
 
@@ -492,42 +714,149 @@ def submission(folder, changes, name="risk.ipynb"):
 
 
 def test_a_student_cannot_change_or_delete_a_test(tmp_path):
-    good = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
+    almost = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
     changes = {
-        "assignment_1_risk": good,
+        "assignment_1_risk": almost,
+        "assignment_1_risk_visible": "print('Right.')",
         "assignment_1_risk_hidden": "pass",
         "assignment_1_minimiser_visible": "print('Right.')",
         "assignment_1_normalised_hidden": None,
     }
     found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
-    assert "risk.ipynb: 1 of 10 points" in found
-    assert re.search(r"assignment_1_risk_hidden: 0: .*also where g = 0", found)
-    assert "assignment_1_normalised_hidden: 0: RefusedAnswer" in found
+    assert "risk.ipynb: 0 of 10 points" in found
+    assert re.search(r"assignment_1_risk_visible: 0 of 1: .*also where g = 0", found)
+    assert re.search(r"assignment_1_risk_hidden: 0 of 2: .*also where g = 0", found)
+    assert "assignment_1_normalised_hidden: 0 of 3: RefusedAnswer" in found
+
+
+def test_a_variable_named_check_does_not_stand_in_its_place(tmp_path):
+    changes = {
+        "assignment_1_risk": "check = lambda *_, **__: None\nrisk = None",
+        "assignment_1_minimiser": "check = 3\ndraw_case = 4\nminimiser = check",
+    }
+    found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
+    assert "risk.ipynb: 0 of 10 points" in found
+    assert "assignment_1_risk_visible: 0 of 1: RefusedAnswer" in found
+    assert "assignment_1_minimiser_hidden: 0 of 2: RefusedAnswer" in found
 
 
 def test_a_notebook_that_runs_for_ever(tmp_path):
     path = submission(tmp_path, {"assignment_1_risk": "while True: pass"})
-    found = run_grade(path, "--seconds", 3, folder=tmp_path).stdout
+    found = run_grade(
+        path, "--seconds", 3, "--output", "grades.csv", folder=tmp_path
+    ).stdout
     assert "risk.ipynb: 0 of 10 points" in found
-    assert "assignment_1_risk_visible: 0: it ran longer than 3.0 s" in found
+    # a busy machine may still be importing the package
+    late = r"it ran longer than 3 s, in (assignment_1_risk|code cell 1)$"
+    assert re.search(f"assignment_1_risk_visible: 0 of 1: {late}", found, re.M)
+    [row, total] = table_of(tmp_path / "grades.csv")
+    assert re.search(f"assignment_1_normalised_hidden: {late}", row["message"])
+    assert (total["points"], total["of"]) == ("0", "10")
 
 
 def test_a_notebook_that_ends_python_keeps_its_points(tmp_path):
-    good = "def risk(g, p, q):\n    return q @ g - p @ np.log(g)"
+    good = "def risk(g, p, q):\n    t = p > 0\n    return q @ g - p[t] @ np.log(g[t])"
     changes = {
         "assignment_1_risk": good,
         "assignment_1_minimiser": "import os\nos._exit(1)",
     }
     found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
-    assert "risk.ipynb: 1 of 10 points" in found
-    assert "assignment_1_minimiser_visible: 0: the notebook ended its process" in found
+    assert "risk.ipynb: 3 of 10 points" in found
+    ended = "the notebook ended its process (exit code 1), in assignment_1_minimiser"
+    assert f"assignment_1_minimiser_visible: 0 of 1: {ended}" in found
+
+
+def table_of(path):
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+
+
+def put(source, path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(source if isinstance(source, str) else source.read_text())
+
+
+def test_a_class_in_both_layouts_is_graded_student_by_student(tmp_path):
+    """What cannot be graded is a row with its reason, and the others go on."""
+    risk, ratio = SOURCES[:2]
+    empty = FOLDER / "release/assignment_1/risk.ipynb"
+    put(risk, tmp_path / "submitted/anna/assignment_1/risk.ipynb")
+    put(ratio, tmp_path / "submitted/anna/assignment_2/true_ratio.ipynb")
+    put("{}", tmp_path / "submitted/anna/.ipynb_checkpoints/risk.ipynb")
+    put("seven", tmp_path / "submitted/ben/risk.ipynb")
+    put(risk, tmp_path / "submitted/cleo/mine.ipynb")
+    put(empty, tmp_path / "submitted/cleo/risk (1).ipynb")
+    put(risk, tmp_path / "submitted/cleo/assignment_1/risk.ipynb")
+    found = run_grade(
+        *("submitted", "--output", "grades.csv", "--tests", "tests.csv"),
+        folder=tmp_path,
+    )
+    assert (found.returncode, found.stderr) == (1, "")
+    rows = table_of(tmp_path / "grades.csv")
+    expected = [
+        ("anna", "assignment_1", "10", "10", ""),
+        ("anna", "assignment_2", "10", "10", ""),
+        ("anna", "total", "20", "20", ""),
+        ("ben", "assignment_1", "0", "10", "could not be read: it must be a notebook"),
+        ("ben", "assignment_2", "0", "10", "handed in nothing"),
+        ("ben", "total", "0", "20", ""),
+        ("cleo", "assignment_1", "10", "10", ""),
+        ("cleo", "", "0", "0", "not graded: it must have the name of an assignment"),
+        ("cleo", "assignment_1", "0", "0", "not graded: handed in twice, see"),
+        ("cleo", "assignment_2", "0", "10", "handed in nothing"),
+        ("cleo", "total", "10", "20", ""),
+    ]
+    columns = ("student", "assignment", "points", "of")
+    assert [tuple(row[name] for name in columns) for row in rows] == [
+        row[:4] for row in expected
+    ]
+    for row, (*_, message) in zip(rows, expected, strict=True):
+        assert row["message"].startswith(message)
+        assert bool(row["message"]) == bool(message)
+    summary = found.stdout[found.stdout.index("3 students") :].splitlines()
+    assert summary[1:5] == [
+        "  anna: 20 of 20",
+        "  ben: 0 of 20",
+        "  cleo: 10 of 20",
+        "3 not graded",
+    ]
+    tests = table_of(tmp_path / "tests.csv")
+    assert sum(int(row["points"]) for row in tests) == 30
+    assert sum(int(row["of"]) for row in tests) == 60
+
+
+def test_rows_are_on_the_disk_before_the_next_student_is_graded(tmp_path):
+    """A stop in the middle keeps what was graded."""
+    put(SOURCES[0], tmp_path / "submitted/anna/risk.ipynb")
+    (tmp_path / "submitted/ben").mkdir()
+    submission(tmp_path / "submitted/ben", {"assignment_1_risk": "while True: pass"})
+    process = subprocess.Popen(
+        [sys.executable, str(FOLDER / "grade.py"), "submitted", "--output", "g.csv"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(FOLDER.parents[1])},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert "anna/risk.ipynb: 10 of 10 points" in process.stdout.readline()
+        for _ in range(200):
+            rows = table_of(tmp_path / "g.csv")
+            if len(rows) == 2:
+                break
+            time.sleep(0.05)
+        assert [row["assignment"] for row in rows] == ["assignment_1", "total"]
+    finally:
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[0]
+    assert "Stopped. What was graded is in the tables." in said
+    assert process.returncode == 130
 
 
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("mine.ipynb", "{}", "must have the name of an assignment: bootstrap.ipynb"),
+        ("mine.ipynb", "{}", "must have the name of an assignment, bootstrap.ipynb"),
         ("risk.ipynb", "seven", "must be a notebook of format 4"),
+        ("risk.ipynb", "", "must be a notebook of format 4"),
         ("risk.ipynb", "[]", "must be a notebook of format 4"),
         ("risk.ipynb", json.dumps({"cells": [1]}), "must be a notebook of format 4"),
         ("risk.ipynb", None, "must be a file: No such file"),
@@ -536,7 +865,25 @@ def test_a_notebook_that_ends_python_keeps_its_points(tmp_path):
 def test_a_file_that_cannot_be_graded(tmp_path, name, text, said):
     if text is not None:
         (tmp_path / name).write_text(text)
-    found = run_grade(name, folder=tmp_path)
+    found = run_grade(name, "--output", "grades.csv", folder=tmp_path)
+    assert found.returncode == 1
+    assert said in found.stdout
+    assert "Traceback" not in found.stderr
+    [row, total] = table_of(tmp_path / "grades.csv")
+    assert said in row["message"]
+    assert (row["points"], total["assignment"]) == ("0", "total")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((".",), ". must have notebooks (.ipynb); it has none"),
+        (("risk.ipynb", "--seconds", "0"), "--seconds must be above 0; it is 0"),
+        (("risk.ipynb", "--output", "no/g.csv"), "no/g.csv cannot be written"),
+    ],
+)
+def test_bad_arguments_of_the_grader(tmp_path, arguments, said):
+    found = run_grade(*arguments, folder=tmp_path)
     assert found.returncode == 2
     assert said in found.stderr.replace("\n", " ")
     assert "Traceback" not in found.stderr

@@ -45,7 +45,7 @@ _TASKS: dict[str, Task] = {
     task.name: task for part in ASSIGNMENTS for task in part.TASKS
 }
 TASKS: dict[str, str] = {name: task.call for name, task in _TASKS.items()}
-VISIBLE_CASES = range(5)
+VISIBLE_CASES = range(10)  # of every kind one
 MAX_CASE = 9999
 
 
@@ -59,9 +59,10 @@ def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -
         The assignment's number and a word, as in "1_risk"; one of ``TASKS``.
     answer : callable
         Your function; ``TASKS[exercise]`` says how it is called.
-    cases : iterable of int, default range(5)
-        The numbers of the cases that it is tried on. From 10 on they have zeros, ends
-        and other special values.
+    cases : iterable of int, default range(10)
+        The numbers of the cases that it is tried on. Case 0 is a plain one; every ten
+        cases have all that is special in an exercise, as zeros, tiny probabilities and
+        a discount near 1.
 
     Raises
     ------
@@ -79,9 +80,9 @@ def check(exercise: str, answer: Any, *, cases: Iterable[int] = VISIBLE_CASES) -
     --------
     >>> import numpy as np
     >>> def risk(g, p, q):
-    ...     return q @ g - p @ np.log(g)
+    ...     return q @ g - p[p > 0] @ np.log(g[p > 0])
     >>> check("1_risk", risk)
-    Right, in 5 cases.
+    Right, in 10 cases.
     """
     task = _task(exercise)
     numbers = _case_numbers(cases)
@@ -112,10 +113,23 @@ def draw_case(exercise: str, case: int) -> dict[str, Any]:
     ValueError
         If there is no such exercise or no such case.
 
+    See Also
+    --------
+    check : Print whether a function is right.
+
     Examples
     --------
-    >>> list(draw_case("1_risk", 0))
+    >>> import numpy as np
+    >>> arguments = draw_case("1_risk", 0)
+    >>> list(arguments)
     ['g', 'p', 'q']
+
+    Call your own function on them:
+
+    >>> def risk(g, p, q):
+    ...     return q @ g - p[p > 0] @ np.log(g[p > 0])
+    >>> bool(risk(**arguments) > 0)
+    True
     """
     task = _task(exercise)
     return task.draw_case(_case_number(case, "case"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from statistics import NormalDist
 from typing import Any
 
@@ -16,30 +17,82 @@ from oee_tabular.testing.assignments.drawing import (
     draw_policy,
     draw_rows,
 )
-from oee_tabular.testing.assignments.judging import Arguments, Mistake, Task
+from oee_tabular.testing.assignments.judging import Arguments, Kind, Mistake, Task
 from oee_tabular.typing import Array
 
 Z = NormalDist().inv_cdf(0.975)
 CHOICES = ("deploy", "keep", "record")
 
 
-def _draw_gain(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    parts = draw_parts(rng, False)
-    target = draw_rows(rng, parts.P.shape, has_zeros=is_hard)
+def _draw_gain(
+    rng: np.random.Generator,
+    *,
+    discount: float | None = None,
+    n_states: int | None = None,
+    n_actions: int | None = None,
+    has_zeros: bool = False,
+    is_certain: bool = False,
+    is_unequal: bool = False,
+    is_same: bool = False,
+) -> Arguments:
+    parts = draw_parts(rng, discount=discount, n_states=n_states, n_actions=n_actions)
+    target = draw_rows(rng, parts.P.shape, has_zeros=has_zeros)
     n = rng.integers(5, 40, size=parts.r.shape)
+    if is_unequal:
+        n[0], n[-1] = 3, 10_000
     counts = draw_counts(rng, n, target)
-    running = draw_policy(rng, parts.r.shape, is_hard=is_hard)
-    candidate = draw_policy(rng, parts.r.shape, is_hard=is_hard)
-    if is_hard and rng.random() < 0.3:
-        candidate = running.copy()
+    running = draw_policy(rng, parts.r.shape, is_certain=is_certain)
+    candidate = draw_policy(rng, parts.r.shape, is_certain=is_certain)
     return {
         "counts": counts,
         "r": parts.r,
         "mu": parts.mu,
         "discount": parts.discount,
         "running": running,
-        "candidate": candidate,
+        "candidate": running.copy() if is_same else candidate,
     }
+
+
+GAIN_KINDS = (
+    Kind("", _draw_gain),
+    Kind(
+        "the log has zeros",
+        partial(_draw_gain, has_zeros=True),
+        "a transition that was never recorded has the frequency 0.",
+    ),
+    Kind(
+        "both policies take one action in each state",
+        partial(_draw_gain, is_certain=True),
+        "probabilities of a policy may be 0 and 1; the formula holds as it is.",
+    ),
+    Kind(
+        "the two policies are the same",
+        partial(_draw_gain, is_same=True),
+        "of one policy against itself the gain and its error are 0.",
+    ),
+    Kind(
+        "the discount is 0.99",
+        partial(_draw_gain, discount=0.99),
+        "with a discount near 1 rewards count for hundreds of steps. Solve the linear"
+        " system, or iterate until nothing changes any more.",
+    ),
+    Kind(
+        "pairs have three transitions, and others 10 000",
+        partial(_draw_gain, is_unequal=True),
+        "each pair's variance is divided by its own count.",
+    ),
+    Kind(
+        "there are more actions than states",
+        partial(_draw_gain, n_states=2, n_actions=4),
+        "the first axis counts states and the second one actions; take no number of"
+        " the one for the other.",
+    ),
+    Kind(
+        "there is one state",
+        partial(_draw_gain, n_states=1, n_actions=3),
+        "with one state every transition is certain, and the error is 0.",
+    ),
+)
 
 
 def _slopes(
@@ -100,7 +153,7 @@ def _both(a: Array, b: Array, P: Array, n: Array) -> float:
 GAIN = Task(
     name="8_gain",
     call="gain_and_error(counts, r, mu, discount, running, candidate)",
-    draw=_draw_gain,
+    kinds=GAIN_KINDS,
     solve=_gain,
     hint="with the frequencies P, the gain is J(candidate) - J(running). Its slope in"
     " P(s' | s, a) is discount / (1 - discount) times d(s, a) V(s') of the candidate less"
@@ -154,27 +207,95 @@ GAIN = Task(
             "this is the mean square of the slopes; subtract the square of their mean"
             " in each row.",
         ),
+        Mistake(
+            _gain_by(lambda a, b, P, n: 0.0),
+            "the gain is an estimate; its standard error is not 0.",
+        ),
+        Mistake(
+            _gain_by(
+                lambda a, b, P, n: np.sqrt(
+                    abs(_deviation(b, P, n) ** 2 - _deviation(a, P, n) ** 2)
+                )
+            ),
+            "variances are not subtracted; subtract the slopes, and take the variance"
+            " then.",
+        ),
+        Mistake(
+            _gain_by(lambda a, b, P, n: _both(a, b, P, n) / np.sqrt(n.size)),
+            "sum over all pairs, and take no mean over them.",
+        ),
+        Mistake(
+            lambda *arguments: _gain(*arguments)[::-1],
+            "the gain comes first and its error second.",
+        ),
+        Mistake(
+            _gain_by(lambda a, b, P, n: _deviation(a, P, n)),
+            "this is the error of the running policy's value alone.",
+        ),
+        Mistake(
+            _gain_by(lambda a, b, P, n: _deviation(b - a, P, np.maximum(n - 1, 1))),
+            "divide each row's variance by its count n, and not by n - 1.",
+        ),
     ),
 )
 
 
-def _draw_decide(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    gain, error = (
-        round(float(rng.normal(0, 2)), 2),
-        round(float(rng.uniform(0.1, 1.5)), 2),
-    )
-    cost = round(float(rng.uniform(0.0, 1.0)), 2)
-    if is_hard:
-        kind = int(rng.integers(5))
-        if kind == 0:
-            error = float(rng.choice([np.inf, np.nan]))
-        elif kind == 1:
-            gain = cost + (Z + float(rng.choice([-0.2, 0.2]))) * error
-        elif kind == 2:
-            gain = cost - (Z + float(rng.choice([-0.2, 0.2]))) * error
-        elif kind == 3:
-            error, gain = 0.0, cost + float(rng.choice([-0.5, 0.5]))
+def _draw_decide(
+    rng: np.random.Generator,
+    *,
+    distance: tuple[float, ...] = (3.0, -3.0, 0.5, -0.5, 1.3, -1.3, 1.8, -1.8),
+    error: float | None = None,
+    cost: float | None = None,
+) -> Arguments:
+    """Draw a gain at a distance from the cost, in standard errors."""
+    if error is None:
+        error = round(float(rng.uniform(0.1, 1.5)), 2)
+    if cost is None:
+        cost = round(float(rng.uniform(0.1, 1.0)), 2)
+    unit = error if np.isfinite(error) and error > 0 else 1.0
+    gain = cost + float(rng.choice(distance)) * unit
     return {"gain": gain, "error": error, "cost": cost}
+
+
+_95 = "the interval is gain -+ 1.96 error; no other number than 1.96."
+_UNKNOWN = "an error of nan or inf says that nothing is known: record."
+
+DECIDE_KINDS = (
+    Kind("", _draw_decide),
+    Kind(
+        "the gain is 1.963 errors above the cost",
+        partial(_draw_decide, distance=(1.963,)),
+        _95,
+    ),
+    Kind(
+        "the gain is 1.957 errors below the cost",
+        partial(_draw_decide, distance=(-1.957,)),
+        _95,
+    ),
+    Kind(
+        "the gain is 1.963 errors below the cost",
+        partial(_draw_decide, distance=(-1.963,)),
+        _95,
+    ),
+    Kind("the error is nan", partial(_draw_decide, error=float("nan")), _UNKNOWN),
+    Kind("the error is inf", partial(_draw_decide, error=float("inf")), _UNKNOWN),
+    Kind(
+        "the error is 0",
+        partial(_draw_decide, error=0.0, distance=(0.5, -0.5)),
+        "with an error of 0 the interval is the gain itself.",
+    ),
+    Kind(
+        "the error is 0 and the gain equals the cost",
+        partial(_draw_decide, error=0.0, distance=(0.0,)),
+        "a gain that equals the cost is neither above it nor below: record.",
+    ),
+    Kind("the cost is 0", partial(_draw_decide, cost=0.0), "the cost may be 0."),
+    Kind(
+        "the cost is negative",
+        partial(_draw_decide, cost=-1.5, distance=(3.0,)),
+        "the cost may be negative, where a change saves something.",
+    ),
+)
 
 
 def _decide(gain: float, error: float, cost: float, z: float = Z) -> str:
@@ -188,7 +309,7 @@ def _decide(gain: float, error: float, cost: float, z: float = Z) -> str:
 DECIDE = Task(
     name="8_decide",
     call="decide(gain, error, cost)",
-    draw=_draw_decide,
+    kinds=DECIDE_KINDS,
     solve=_decide,
     choices=CHOICES,
     hint="deploy if the whole 95% interval, gain -+ 1.96 error, is above the cost; keep"
@@ -209,6 +330,24 @@ DECIDE = Task(
         Mistake(
             lambda gain, error, cost: _decide(gain, error, cost, 1.645),
             "1.645 is for one side; both decisions together need 1.96.",
+        ),
+        Mistake(
+            lambda gain, error, cost: _decide(gain, error, cost, 2.0),
+            "the interval is gain -+ 1.96 error, and not 2 errors.",
+        ),
+        Mistake(
+            lambda gain, error, cost: _decide(gain, error, cost, 2.576),
+            "2.576 is for 99%; the interval of 95% has 1.96.",
+        ),
+        Mistake(
+            lambda gain, error, cost: _decide(gain, error, cost, 0.5 * Z),
+            "the interval has 1.96 errors on each side, and not half of that.",
+        ),
+        Mistake(
+            lambda gain, error, cost: (
+                _decide(gain, error, cost) if np.isfinite(error) else "keep"
+            ),
+            "an error of nan or inf says that nothing is known: record, and do not keep.",
         ),
         Mistake(
             lambda gain, error, cost: (
@@ -257,15 +396,50 @@ DECIDE = Task(
 )
 
 
-def _draw_need(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    cost = round(float(rng.uniform(0.0, 0.5)), 2)
-    gain = cost + round(float(rng.uniform(0.2, 1.0)), 2)
-    error = round(float(rng.uniform(0.3, 1.0)), 2)
-    if is_hard and rng.random() < 0.3:
-        gain = cost - float(rng.integers(0, 2))
-    elif is_hard and rng.random() < 0.3:
-        error = 0.01
-    return {"gain": gain, "error": error, "cost": cost, "n": int(rng.integers(50, 900))}
+def _draw_need(
+    rng: np.random.Generator,
+    *,
+    above: float | None = None,
+    error: float | None = None,
+    cost: float | None = None,
+    n: int | None = None,
+) -> Arguments:
+    """Draw a gain that is above the cost by a number."""
+    cost = round(float(rng.uniform(0.1, 0.5)), 2) if cost is None else cost
+    above = round(float(rng.uniform(0.2, 1.0)), 2) if above is None else above
+    error = round(float(rng.uniform(0.3, 1.0)), 2) if error is None else error
+    n = int(rng.integers(50, 900)) if n is None else n
+    return {"gain": cost + above, "error": error, "cost": cost, "n": n}
+
+
+_NEVER = "where the gain is not above the cost no number of transitions is enough: inf."
+
+NEED_KINDS = (
+    Kind("", _draw_need),
+    Kind("the gain equals the cost", partial(_draw_need, above=0.0, cost=0.25), _NEVER),
+    Kind("the gain is below the cost", partial(_draw_need, above=-0.7), _NEVER),
+    Kind(
+        "fewer transitions are enough",
+        partial(_draw_need, error=0.01),
+        "the least whole N is asked for, also where it is below n.",
+    ),
+    Kind(
+        "the gain is just above the cost",
+        partial(_draw_need, above=0.01),
+        "N may be very large; it is not cut.",
+    ),
+    Kind("the cost is 0", partial(_draw_need, cost=0.0), "the cost may be 0."),
+    Kind(
+        "the cost is negative and the gain as well",
+        partial(_draw_need, cost=-2.0),
+        "the gain must exceed the cost, and not 0.",
+    ),
+    Kind(
+        "the log has 5 transitions",
+        partial(_draw_need, n=5),
+        "round up to a whole number, also of a short log.",
+    ),
+)
 
 
 def _need(gain: float, error: float, cost: float, n: int, z: float = Z) -> float:
@@ -283,7 +457,7 @@ def _need_bounds(gain: float, error: float, cost: float, n: int) -> tuple[Any, A
 NEED = Task(
     name="8_need",
     call="transitions_needed(gain, error, cost, n)",
-    draw=_draw_need,
+    kinds=NEED_KINDS,
     solve=_need,
     bounds=_need_bounds,
     tolerance=1e-9,
@@ -331,6 +505,50 @@ NEED = Task(
                 n * (2 * 1.96 * error / (gain - cost)) ** 2
             ),
             "the distance from the gain to an end is half the width.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.floor(
+                n * (1.96 * error / (gain - cost)) ** 2
+            ),
+            "round up: with one transition less the interval reaches the cost.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.round(
+                n * (1.96 * error / (gain - cost)) ** 2
+            ),
+            "round up, and not to the nearest whole number.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: max(
+                _need(gain, error, cost, n, 1.96), float(n)
+            ),
+            "the least whole N is asked for, also where it is below n.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.ceil(
+                n * (1.645 * error / (gain - cost)) ** 2
+            ),
+            "1.645 is for one side; the interval has 1.96.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.ceil(
+                n * (2.0 * error / (gain - cost)) ** 2
+            ),
+            "the interval has 1.96 errors on each side, and not 2.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.ceil(
+                n * (1.96 * error / (gain + cost)) ** 2
+            ),
+            "the cost is subtracted from the gain, and not added.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: _need(gain, error, cost, n, 1.96) + 1,
+            "this is one more than is needed: round up to the next whole number.",
+        ),
+        Mistake(
+            lambda gain, error, cost, n: np.sqrt(_need(gain, error, cost, n, 1.96)),
+            "N grows with the square of the error, and its root is not asked for.",
         ),
     ),
 )

@@ -7,6 +7,7 @@ arrays and of the counts of a log; it returns a number. A law returns True or Fa
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,11 +18,10 @@ from oee_tabular.ratio import transition_ratio
 from oee_tabular.testing.assignments.drawing import (
     Parts,
     draw_counts,
-    draw_parts,
-    draw_policy,
     draw_rows,
+    draw_situation,
 )
-from oee_tabular.testing.assignments.judging import Arguments, Task, ask
+from oee_tabular.testing.assignments.judging import Arguments, Kind, Task, ask
 from oee_tabular.typing import Array
 
 Estimator = Callable[[Array, Array, Array, float, Array, Array], float]
@@ -61,33 +61,68 @@ def value_with_one_more(
     return float(policy_value(Parts(more, r, mu, discount).mdp, policy))
 
 
-def _draw(rng: np.random.Generator, is_hard: bool) -> tuple[Parts, Array, Array]:
-    parts = draw_parts(rng, False)
-    policy = draw_policy(rng, parts.r.shape, is_hard=is_hard)
-    target = draw_rows(rng, parts.P.shape, has_zeros=False)
-    return parts, policy, target
+class Drawn(NamedTuple):
+    """A simulator with its rewards, a policy, and the target's transitions."""
+
+    parts: Parts
+    policy: Array
+    target: Array
 
 
-def _draw_shift(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    parts, policy, target = _draw(rng, is_hard)
-    n = rng.integers(1, 20, size=parts.r.shape)
-    counts = draw_counts(rng, n, target)
+def _draw(
+    rng: np.random.Generator,
+    *,
+    discount: float | None = None,
+    n_states: int | None = None,
+    n_actions: int | None = None,
+    is_certain: bool = False,
+    target_has_zeros: bool = False,
+    sign: float | None = None,
+    scale: float = 1.0,
+) -> Drawn:
+    """Draw a problem; with a sign, all rewards have it."""
+    parts, policy = draw_situation(
+        rng,
+        discount=discount,
+        n_states=n_states,
+        n_actions=n_actions,
+        is_certain=is_certain,
+    )
+    target = draw_rows(rng, parts.P.shape, has_zeros=target_has_zeros)
+    if sign is not None:
+        r = sign * np.round(rng.uniform(0.2, 1.5, size=parts.r.shape), 2)
+        parts = parts._replace(r=r)
+    return Drawn(parts._replace(r=scale * parts.r), policy, target)
+
+
+def _for_shift(
+    rng: np.random.Generator,
+    draw: Callable[[np.random.Generator], Drawn],
+    *,
+    least: int = 1,
+) -> Arguments:
+    parts, policy, target = draw(rng)
+    n = rng.integers(least, 20, size=parts.r.shape)
+    if least == 0:
+        n[0] = 0
     return {
         "estimate": None,
         "P": parts.P,
         "r": parts.r,
         "mu": parts.mu,
         "discount": parts.discount,
-        "counts": counts,
+        "counts": draw_counts(rng, n, target),
         "policy": policy,
     }
 
 
-def _draw_limit(rng: np.random.Generator, is_hard: bool) -> Arguments:
+def _for_limit(
+    rng: np.random.Generator, draw: Callable[[np.random.Generator], Drawn]
+) -> Arguments:
     """Draw a target whose value is not nearly 0, where a relative error says little."""
     truth = 0.0
     while abs(truth) < 0.3:
-        parts, policy, target = _draw(rng, is_hard)
+        parts, policy, target = draw(rng)
         at_target = parts._replace(P=target).mdp
         truth = policy_value(at_target, policy)
     return {
@@ -99,6 +134,34 @@ def _draw_limit(rng: np.random.Generator, is_hard: bool) -> Arguments:
         "discount": parts.discount,
         "policy": policy,
     }
+
+
+_DRAWS = (
+    ("", _draw),
+    ("the discount is 0.99", partial(_draw, discount=0.99)),
+    ("the discount is 0.5", partial(_draw, discount=0.5)),
+    ("all rewards are positive", partial(_draw, sign=1.0)),
+    ("all rewards are negative", partial(_draw, sign=-1.0)),
+    ("the policy takes one action in each state", partial(_draw, is_certain=True)),
+    (
+        "there are more actions than states",
+        partial(_draw, n_states=2, n_actions=4),
+    ),
+    ("the target has zeros", partial(_draw, target_has_zeros=True)),
+    ("rewards are in ten thousands", partial(_draw, scale=1e4)),
+)
+
+SHIFT_KINDS = (
+    *(Kind(about, partial(_for_shift, draw=draw)) for about, draw in _DRAWS),
+    Kind(
+        "pairs were never recorded",
+        partial(_for_shift, draw=_draw, least=0),
+    ),
+)
+
+LIMIT_KINDS = tuple(
+    Kind(about, partial(_for_limit, draw=draw)) for about, draw in _DRAWS
+)
 
 
 def _with_rewards(change: Callable[[Array], Array]) -> Estimator:
@@ -159,6 +222,16 @@ def _uniform_start(
     return value_of_frequencies(P, r, mu, discount, counts, policy)
 
 
+def _stops_early(
+    P: Array, r: Array, mu: Array, discount: float, counts: Array, policy: Array
+) -> float:
+    """Compute the value of the frequencies for the first 20 rewards alone."""
+    mdp = Parts(P, r, mu, discount).mdp
+    log = sparse.csr_array(counts.reshape(-1, counts.shape[-1]))
+    model = transition_ratio(log, mdp, prior="none").target_model(mdp)
+    return float(policy_value(model, policy, horizon=20))
+
+
 SHIFT_SUSPECTS = (
     Suspect(value_of_frequencies, True, "takes the log's frequencies for the target"),
     Suspect(
@@ -167,8 +240,20 @@ SHIFT_SUSPECTS = (
         "answers with the simulator's value (it is wrong, but it obeys this law)",
     ),
     Suspect(value_with_one_more, True, "adds the simulator's row to the counts"),
+    Suspect(
+        _uniform,
+        True,
+        "evaluates the uniform policy (it is wrong, but it obeys this law)",
+    ),
+    Suspect(
+        _uniform_start,
+        True,
+        "begins in each state with equal probability (it is wrong, but it obeys this"
+        " law)",
+    ),
     Suspect(_normalised, False, "multiplies its value by (1 - discount)"),
     Suspect(_first_reward_late, False, "discounts the first reward"),
+    Suspect(_stops_early, False, "sums the first 20 rewards alone"),
     Suspect(_scaled(1.01), False, "is too large by 1%"),
     Suspect(
         _with_rewards(lambda r: np.maximum(r, 0.0)),
@@ -186,6 +271,16 @@ SHIFT_SUSPECTS = (
         "cuts rewards to between -3 and 3",
     ),
     Suspect(
+        _with_rewards(lambda r: np.minimum(r, 3.0)),
+        False,
+        "cuts rewards above 3",
+    ),
+    Suspect(
+        _with_rewards(lambda r: np.maximum(r, -3.0)),
+        False,
+        "cuts rewards below -3",
+    ),
+    Suspect(
         _with_rewards(lambda r: np.asarray(r / np.abs(r).max())),
         False,
         "divides the rewards by the largest",
@@ -201,7 +296,11 @@ LIMIT_SUSPECTS = (
     ),
     Suspect(value_of_simulator, False, "answers with the simulator's value"),
     Suspect(_scaled(1.01), False, "is too large by 1%"),
+    Suspect(_scaled(0.99), False, "is too small by 1%"),
     Suspect(_scaled(1.0001), False, "is too large by a ten thousandth"),
+    Suspect(_scaled(0.9999), False, "is too small by a ten thousandth"),
+    Suspect(_scaled(-1.0), False, "has the wrong sign"),
+    Suspect(_stops_early, False, "sums the first 20 rewards alone"),
     Suspect(_blend, False, "mixes 3% of the simulator's value in"),
     Suspect(_normalised, False, "multiplies its value by (1 - discount)"),
     Suspect(_uniform, False, "evaluates the uniform policy"),
@@ -254,7 +353,7 @@ def _judge_limit(task: Task, answer: Any, arguments: Arguments) -> str:
 SHIFT = Task(
     name="7_shift",
     call="shift_law(estimate, P, r, mu, discount, counts, policy)",
-    draw=_draw_shift,
+    kinds=SHIFT_KINDS,
     solve=lambda *_: True,
     judge=_judge_shift,
     hint="estimate with the rewards r and with r + c, for a c such as 5 and one such as"
@@ -264,7 +363,7 @@ SHIFT = Task(
 LIMIT = Task(
     name="7_limit",
     call="limit_law(estimate, simulator, target, r, mu, discount, policy)",
-    draw=_draw_limit,
+    kinds=LIMIT_KINDS,
     solve=lambda *_: True,
     judge=_judge_limit,
     hint="give it the counts 1e9 * target, which are a log without chance, and compare"

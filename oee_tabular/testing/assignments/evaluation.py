@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from oee_tabular.exact import occupancy, state_values
-from oee_tabular.testing.assignments.drawing import Parts, draw_parts, draw_policy
-from oee_tabular.testing.assignments.judging import Arguments, Mistake, Task
+from oee_tabular.testing.assignments.drawing import (
+    Parts,
+    Situation,
+    draw_situation,
+    situation_kinds,
+)
+from oee_tabular.testing.assignments.judging import Arguments, Kind, Mistake, Task
 from oee_tabular.typing import Array
 
 
@@ -16,29 +22,83 @@ def _uniform_start(P: Array) -> Array:
     return np.full(P.shape[0], 1 / P.shape[0])
 
 
-def _draw_values(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    parts = draw_parts(rng, is_hard)
-    policy = draw_policy(rng, parts.r.shape, is_hard=is_hard)
-    return {"P": parts.P, "r": parts.r, "policy": policy, "discount": parts.discount}
+def _for_values(drawn: Situation) -> Arguments:
+    P, r, _, discount = drawn.parts
+    return {"P": P, "r": r, "policy": drawn.policy, "discount": discount}
 
 
-def _draw_finite(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    arguments = _draw_values(rng, is_hard)
-    if is_hard and rng.random() < 0.3:
-        arguments["discount"] = 1.0
-    return arguments | {"horizon": int(rng.integers(1 if is_hard else 2, 8))}
+def _for_occupancy(drawn: Situation) -> Arguments:
+    P, _, mu, discount = drawn.parts
+    return {"P": P, "mu": mu, "policy": drawn.policy, "discount": discount}
 
 
-def _draw_occupancy(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    arguments = _draw_values(rng, is_hard)
-    n = arguments["P"].shape[0]
-    mu = np.eye(n)[0] if is_hard else rng.dirichlet(np.ones(n))
-    return {
-        "P": arguments["P"],
-        "mu": mu,
-        "policy": arguments["policy"],
-        "discount": arguments["discount"],
-    }
+def _draw_finite(
+    rng: np.random.Generator,
+    *,
+    horizon: int | None = None,
+    discount: float | None = None,
+    n_states: int | None = None,
+    n_actions: int | None = None,
+    has_zeros: bool = False,
+    is_certain: bool = False,
+) -> Arguments:
+    drawn = draw_situation(
+        rng,
+        discount=discount,
+        n_states=n_states,
+        n_actions=n_actions,
+        has_zeros=has_zeros,
+        is_certain=is_certain,
+    )
+    horizon = int(rng.integers(3, 9)) if horizon is None else horizon
+    return _for_values(drawn) | {"horizon": horizon}
+
+
+FINITE_KINDS = (
+    Kind("", _draw_finite),
+    Kind(
+        "the discount is 1",
+        partial(_draw_finite, discount=1.0),
+        "with a discount of 1 the sum of T rewards exists, and no matrix I - discount P"
+        " can be inverted: repeat the step T times.",
+    ),
+    Kind(
+        "the horizon is 1",
+        partial(_draw_finite, horizon=1),
+        "with a horizon of 1 the value is the first reward alone.",
+    ),
+    Kind(
+        "the horizon is 2",
+        partial(_draw_finite, horizon=2),
+        "with a horizon of 2 there are the rewards of t = 0 and t = 1.",
+    ),
+    Kind(
+        "the horizon is 150 and the discount 0.99",
+        partial(_draw_finite, horizon=150, discount=0.99),
+        "the horizon may be long: repeat the step as often as it says.",
+    ),
+    Kind(
+        "the policy takes one action in each state, and transitions have zeros",
+        partial(_draw_finite, is_certain=True, has_zeros=True),
+        "probabilities may be 0 and 1; the formula holds as it is.",
+    ),
+    Kind(
+        "there are more actions than states",
+        partial(_draw_finite, n_states=2, n_actions=4),
+        "the first axis counts states and the second one actions; take no number of the"
+        " one for the other.",
+    ),
+    Kind(
+        "there is one state",
+        partial(_draw_finite, n_states=1, n_actions=3),
+        "with one state every action leads back to it; the formula holds as it is.",
+    ),
+    Kind(
+        "the discount is 0",
+        partial(_draw_finite, discount=0.0),
+        "with a discount of 0 the first reward alone counts: 0**0 is 1.",
+    ),
+)
 
 
 def _values(P: Array, r: Array, policy: Array, discount: float) -> Array:
@@ -62,9 +122,11 @@ def _solve(M: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(np.eye(len(M)) - M, right))
 
 
-def _best_values(P: Array, r: Array, policy: Array, discount: float) -> Array:
+def _best_values(
+    P: Array, r: Array, policy: Array, discount: float, horizon: int = 2000
+) -> Array:
     V = np.zeros(len(P))
-    for _ in range(2000):
+    for _ in range(horizon):
         V = (r + discount * P @ V).max(axis=1)
     return V
 
@@ -81,7 +143,8 @@ def _backward(
 VALUES = Task(
     name="3_values",
     call="state_values(P, r, policy, discount)",
-    draw=_draw_values,
+    kinds=situation_kinds(_for_values),
+    axes=("state",),
     solve=_values,
     hint="solve (I - discount P_pi) V = r_pi, where P_pi and r_pi are averages over the"
     " policy's actions; or iterate V = r_pi + discount P_pi V to the end.",
@@ -152,13 +215,59 @@ VALUES = Task(
             ),
             "the policy takes its other actions too; average over all of them.",
         ),
+        Mistake(
+            lambda P, r, policy, discount: (
+                discount
+                * _chain(P, policy)
+                @ _solve(discount * _chain(P, policy), (policy * r).sum(1))
+            ),
+            "the reward of t = 0 is missing: the sum begins with r(s, a) itself.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: _solve(
+                -discount * _chain(P, policy), (policy * r).sum(1)
+            ),
+            "the matrix is I - discount P_pi, with a minus.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: (
+                (np.eye(len(r)) - discount * _chain(P, policy)) @ (policy * r).sum(1)
+            ),
+            "this multiplies by the matrix I - discount P_pi; solve with it.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: _solve(
+                discount * P.sum(axis=1), (policy * r).sum(1)
+            ),
+            "the transitions are summed over actions; weight them by the policy.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: _solve(
+                discount * _chain(P, policy), r.max(axis=1)
+            ),
+            "this takes the best reward; average with the policy's probabilities.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: _solve(
+                0.9 * _chain(P, policy), (policy * r).sum(1)
+            ),
+            "the discount is an argument, and not always 0.9.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount: np.full(
+                len(r),
+                _solve(discount * _chain(P, policy), (policy * r).sum(1)).mean(),
+            ),
+            "each state has a value of its own; take no mean over states.",
+        ),
     ),
 )
 
 FINITE = Task(
     name="3_horizon",
     call="finite_values(P, r, policy, discount, horizon)",
-    draw=_draw_finite,
+    kinds=FINITE_KINDS,
+    axes=("state",),
     solve=_finite,
     hint="begin with V = 0 and repeat V = r_pi + discount P_pi V, horizon times.",
     mistakes=(
@@ -199,13 +308,46 @@ FINITE = Task(
             ),
             "the discount is missing.",
         ),
+        Mistake(
+            lambda P, r, policy, discount, horizon: (
+                discount * _backward(P, r, policy, discount, horizon)
+            ),
+            "the first reward is not discounted: t begins at 0.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount, horizon: (policy * r).sum(1) * horizon,
+            "the state changes: multiply by P_pi in each step.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount, horizon: _backward(
+                P, r, np.full(policy.shape, 1 / policy.shape[1]), discount, horizon
+            ),
+            "all actions count the same here; average with the policy's probabilities.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount, horizon: _best_values(
+                P, r, policy, discount, horizon
+            ),
+            "these are the values of the best policy, by a maximum over actions; take"
+            " the average over the policy that is given.",
+        ),
+        Mistake(
+            lambda P, r, policy, discount, horizon: sum(
+                discount**t
+                * np.linalg.matrix_power(_chain(P, policy).T, t)
+                @ (policy * r).sum(1)
+                for t in range(horizon)
+            ),
+            "the matrix is transposed: entry [s, t] leads from s to t.",
+        ),
     ),
 )
 
 OCCUPANCY = Task(
     name="3_occupancy",
     call="occupancy(P, mu, policy, discount)",
-    draw=_draw_occupancy,
+    kinds=situation_kinds(_for_occupancy),
+    axes=("state", "action"),
     solve=_occupancy,
     hint="d(s) = (1 - discount) mu(s) + discount times what flows into s; then d(s, a) ="
     " d(s) policy(a | s). It sums to 1.",
@@ -251,6 +393,55 @@ OCCUPANCY = Task(
                 axis=1,
             ),
             "multiply the time in a state by the policy's probability of the action.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: (
+                (1 - discount)
+                * _solve(discount * P.mean(axis=1).T, mu)[:, None]
+                * policy
+            ),
+            "the way through the states follows the policy's probabilities, and not equal"
+            " ones.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: (
+                (1 - discount)
+                * _solve(discount * _chain(P, policy).T, mu)[:, None]
+                / policy.shape[1]
+                * np.ones(policy.shape)
+            ),
+            "multiply the time in a state by the policy's probability of the action, and"
+            " not by an equal share.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: (
+                (1 - discount)
+                * discount
+                * (_chain(P, policy).T @ _solve(discount * _chain(P, policy).T, mu))[
+                    :, None
+                ]
+                * policy
+            ),
+            "the first step is missing: t begins at 0.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: (
+                (1 - discount)
+                * (_chain(P, policy).T @ _solve(discount * _chain(P, policy).T, mu))[
+                    :, None
+                ]
+                * policy
+            ),
+            "the first step is missing: t begins at 0.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: policy.copy(),
+            "each state's entries sum to 1 here; all entries together do, by the time"
+            " that is spent in each state.",
+        ),
+        Mistake(
+            lambda P, mu, policy, discount: np.full(policy.shape, 1.0 / policy.size),
+            "the pairs are not equally frequent; follow the policy from mu.",
         ),
     ),
 )

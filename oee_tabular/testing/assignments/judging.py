@@ -2,7 +2,9 @@
 
 A ``Task`` has the right answer by the package, and the mistakes that are often made,
 each as a function of the same arguments with its hint. A wrong answer that equals one
-of them gets that hint.
+of them gets that hint. Its cases are of several kinds: the first kind is plain, and each
+other has something that separates right answers from wrong ones, and a hint for answers
+that are wrong only there.
 """
 
 from __future__ import annotations
@@ -16,19 +18,24 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, FunctionType, GeneratorType, ModuleType
 from typing import Any, NoReturn
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import is_sparse
-from oee_tabular.typing import Array
+from oee_tabular.testing.assignments.differences import (
+    explain_pattern,
+    is_between,
+    say_difference,
+)
+from oee_tabular.typing import Array, BoolArray
 
-FIRST_HARD_CASE = 10  # cases before it have no zeros, ends or other special values
-CLOSE = 0.03  # of the largest right entry
-# that an answer must share with a mistake, if it is a number or one of a few words
-N_CASES_OF_A_NUMBER = 3
+CLOSE = 1e-3  # of the largest right entry
+# that an answer must share with a mistake: plain ones for a number, any for a word
+N_PLAIN_CASES = 3
+N_PLAIN_CASES_OF_A_WORD = 12
 N_CASES_OF_A_WORD = 40
 LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "IMPORT_NAME")
 
@@ -55,6 +62,29 @@ class Mistake:
 
 
 @dataclass(frozen=True)
+class Kind:
+    """A kind of case.
+
+    Attributes
+    ----------
+    about : str
+        What is special in it, after the word "where"; empty in a plain case.
+    draw : callable
+        The function of a generator that draws the arguments.
+    hint : str
+        The hint for an answer that is right in plain cases and wrong here.
+    at : callable or None
+        The function of the arguments that returns which entries the hint is about; it
+        is given only to answers that are wrong there. None: about all of them.
+    """
+
+    about: str
+    draw: Callable[[np.random.Generator], Arguments]
+    hint: str = ""
+    at: Callable[..., BoolArray] | None = None
+
+
+@dataclass(frozen=True)
 class Task:
     """A code exercise.
 
@@ -64,36 +94,46 @@ class Task:
         The assignment's number and a word, as in "1_risk".
     call : str
         How the answer is called, as in "risk(g, p, q)".
-    draw : callable
-        The function (generator, whether the case is hard) that draws the arguments.
+    kinds : tuple of Kind
+        The kinds of cases, a plain one first; case k is of kind k modulo their number.
     solve : callable
         The function of the arguments that returns the right answer.
     hint : str
         The hint where no mistake is recognised.
     mistakes : tuple of Mistake
         The mistakes that are recognised.
+    axes : tuple of str
+        What each axis of the answer counts, as in ("state", "action").
     choices : tuple of str
         The texts that may be returned, where the answer is a text.
     tolerance : float
         The allowed error, relative to the largest right entry or to 1.
+    is_entrywise : bool
+        Whether the error is relative to each entry, and not to the largest.
     bounds : callable or None
         The function of the arguments that returns the least and the largest right
         answer, where several are right.
     judge : callable or None
         The function (task, answer, arguments) that replaces the comparison; it returns
         why the answer is refused, or "".
+    explain : callable or None
+        The function of the arguments that returns a sentence on why the right answer is
+        right, where that is True, False or a word.
     """
 
     name: str
     call: str
-    draw: Callable[[np.random.Generator, bool], Arguments]
+    kinds: tuple[Kind, ...]
     solve: Callable[..., Any]
     hint: str
     mistakes: tuple[Mistake, ...] = ()
+    axes: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
     tolerance: float = 1e-7
+    is_entrywise: bool = False
     bounds: Callable[..., tuple[Array, Array]] | None = None
     judge: Callable[[Task, Any, Arguments], str] | None = None
+    explain: Callable[..., str] | None = None
 
     @property
     def function(self) -> str:
@@ -105,81 +145,189 @@ class Task:
         """Return the parameters that it is called with."""
         return self.call.partition("(")[2].removesuffix(")")
 
+    def kind_of(self, case: int) -> Kind:
+        """Return the kind of a case."""
+        return self.kinds[case % len(self.kinds)]
+
     def draw_case(self, case: int) -> Arguments:
         """Draw the arguments of a case."""
         rng = np.random.default_rng([zlib.crc32(self.name.encode()), case])
-        return self.draw(rng, case >= FIRST_HARD_CASE)
+        return self.kind_of(case).draw(rng)
 
     def judge_case(self, answer: Any, case: int) -> None:
         """Refuse an answer that is wrong in a case."""
         arguments = self.draw_case(case)
-        with silence():
-            why = (
-                self.judge(self, answer, arguments)
-                if self.judge
-                else self._compare(answer, arguments)
-            )
+        kind = self.kind_of(case)
+        where = f"in case {case}" + (f", where {kind.about}" if kind.about else "")
+        try:
+            with silence():
+                why = (
+                    self.judge(self, answer, arguments)
+                    if self.judge
+                    else self._compare(answer, arguments, kind)
+                )
+        except RefusedAnswer as refusal:
+            # what is no result in the first case either needs no place
+            if not kind.about or not self._has_result(answer):
+                raise
+            said = f"{refusal} This happens {where}"
+            said += f": {kind.hint}" if kind.hint else "."
+            raise RefusedAnswer(said) from None
         if why:
-            raise RefusedAnswer(f"{self.function} is not right in case {case}: {why}")
+            raise RefusedAnswer(
+                f"{self.function} is not right {where}: {why} Its arguments:"
+                f' draw_case("{self.name}", {case}).'
+            )
 
-    def _compare(self, answer: Any, arguments: Arguments) -> str:
-        """Return why the answer's result is wrong, or an empty text."""
-        right = self.solve(*copy.deepcopy(arguments).values())
-        found = self.read(ask(self, answer, arguments), right)
-        low, high = (
-            self.bounds(*copy.deepcopy(arguments).values())
-            if self.bounds
-            else (right, right)
-        )
+    def _solve(self, arguments: Arguments) -> Any:
+        """Return the right answer."""
+        return self.solve(*copy.deepcopy(arguments).values())
+
+    def _is_right(self, found: Any, right: Any, arguments: Arguments) -> bool:
+        """Return whether an answer is right, or near enough."""
         if isinstance(right, bool | str):
-            if found == right:
-                return ""
-            said = f"it returns {found!r}, and {right!r} is right."
-        elif _is_between(found, low, high, self.tolerance):
-            return ""
+            return bool(found == right)
+        if self.bounds:
+            low, high = self.bounds(*copy.deepcopy(arguments).values())
         else:
-            said = _difference(found, np.asarray(right, dtype=float))
+            low, high = right, right
+        return bool(np.all(self._is_between(found, low, high)))
+
+    def _is_between(self, found: Any, low: Any, high: Any) -> BoolArray:
+        """Return which entries lie between two others, by the task's tolerance."""
+        return is_between(
+            found, low, high, self.tolerance, is_entrywise=self.is_entrywise
+        )
+
+    def _compare(self, answer: Any, arguments: Arguments, kind: Kind) -> str:
+        """Return why the answer's result is wrong, or an empty text."""
+        right = self._solve(arguments)
+        found = self.read(ask(self, answer, arguments), right)
+        if self._is_right(found, right, arguments):
+            return ""
+        if isinstance(right, bool | str):
+            said = f"it returns {found!r}, and {right!r} is right."
+        else:
+            right = np.asarray(right, dtype=float)
+            is_wrong = ~self._is_between(found, right, right)
+            said = say_difference(found, right, is_wrong, self.axes, arguments)
+        numbers = [value for value in arguments.values() if np.ndim(value) == 0]
+        if len(numbers) == len(arguments):
+            given = ", ".join(f"{name} = {x:.6g}" for name, x in arguments.items())
+            said = f"for {given} {said}"
+        if self.explain:
+            said += f" {self.explain(*copy.deepcopy(arguments).values())}"
+        return (
+            f"{said} Hint: {self._choose_hint(answer, found, right, arguments, kind)}"
+        )
+
+    def _choose_hint(
+        self, answer: Any, found: Any, right: Any, arguments: Arguments, kind: Kind
+    ) -> str:
+        """Return the hint that fits best: of a mistake, of the kind, or of the task."""
         for mistake in self.mistakes:
-            if self._is_recognised(answer, mistake, found, arguments):
-                return f"{said} Hint: {mistake.hint}"
-        if not isinstance(right, bool | str):
-            if not np.all(np.isfinite(found) | ~np.isfinite(right)):
-                return (
-                    f"{said} Hint: nan and inf come from a division by 0 or from the"
-                    f" logarithm of 0; say what holds there: {self.hint}"
-                )
-            if _is_between(found, low, high, CLOSE, floor=0.0):
-                return (
-                    f"{said} Hint: this is close. An iteration stops too early, a sum"
-                    f" ends too early, or something is rounded: {self.hint}"
-                )
-        return f"{said} Hint: {self.hint}"
+            if self._is_recognised(answer, mistake, found, right, arguments):
+                return mistake.hint
+        hint = self.hint
+        if self._is_of_the_kind(answer, found, right, arguments, kind):
+            hint = kind.hint
+        if isinstance(right, bool | str):
+            return hint
+        is_lost = ~np.isfinite(found) & np.isfinite(right)
+        if is_lost.any() and np.all(is_lost | self._is_between(found, right, right)):
+            return (
+                "nan and inf come from a division by 0 or from the logarithm of 0; say"
+                f" what holds there: {hint}"
+            )
+        if hint is kind.hint:
+            return hint
+        if pattern := explain_pattern(found, right, arguments):
+            return f"{pattern}; {hint}"
+        if np.all(is_between(found, right, right, CLOSE, floor=0.0)):
+            return (
+                "this is close and not exact: something small is added, cut off or"
+                f" rounded, or an iteration stops too early; {hint}"
+            )
+        return hint
+
+    def _is_of_the_kind(
+        self, answer: Any, found: Any, right: Any, arguments: Arguments, kind: Kind
+    ) -> bool:
+        """Return whether an answer is wrong only by what is special in a kind."""
+        if not kind.hint:
+            return False
+        if kind.at is not None:
+            at = kind.at(*copy.deepcopy(arguments).values())
+            if not np.any(at & ~self._is_between(found, right, right)):
+                return False
+        return self._holds_in(answer, self._plain_cases(right), self._is_right)
+
+    def _has_result(self, answer: Any) -> bool:
+        """Return whether an answer has a result of the right kind in the first case."""
+        if self.judge:
+            return True
+        with silence():
+            return self._holds_in(answer, range(1), lambda *_: True)
+
+    def _plain_cases(self, right: Any) -> range:
+        """Return plain cases, more of them where an answer has one of few values."""
+        n = N_PLAIN_CASES_OF_A_WORD if isinstance(right, bool | str) else N_PLAIN_CASES
+        return range(0, n * len(self.kinds), len(self.kinds))
+
+    def _holds_in(
+        self,
+        answer: Any,
+        cases: range,
+        condition: Callable[[Any, Any, Arguments], bool],
+    ) -> bool:
+        """Return whether something is so for an answer's results in some cases."""
+        for case in cases:
+            drawn = self.draw_case(case)
+            right = self._solve(drawn)
+            try:
+                found = self.read(ask(self, answer, drawn), right)
+            except RefusedAnswer:
+                return False
+            if not condition(found, right, drawn):
+                return False
+        return True
 
     def _is_recognised(
-        self, answer: Any, mistake: Mistake, found: Any, arguments: Arguments
+        self,
+        answer: Any,
+        mistake: Mistake,
+        found: Any,
+        right: Any,
+        arguments: Arguments,
     ) -> bool:
         """Return whether an answer is a mistake, in this case and in others.
 
         One case is not enough: nan, True or a word come from many mistakes.
         """
-        if not self._equals_mistake(found, mistake, arguments):
+        if not self._equals_mistake(found, right, mistake, arguments, is_wrong=True):
             return False
-        is_word = isinstance(found, bool | str)
-        for case in range(N_CASES_OF_A_WORD if is_word else N_CASES_OF_A_NUMBER):
-            drawn = self.draw_case(case)
-            right = self.solve(*copy.deepcopy(drawn).values())
-            try:
-                again = self.read(ask(self, answer, drawn), right)
-            except RefusedAnswer:
-                return False
-            if not self._equals_mistake(again, mistake, drawn):
-                return False
-        return True
+
+        def is_same(again: Any, right: Any, drawn: Arguments) -> bool:
+            return self._equals_mistake(again, right, mistake, drawn, is_wrong=False)
+
+        if isinstance(found, bool | str):
+            return self._holds_in(answer, range(N_CASES_OF_A_WORD), is_same)
+        return self._holds_in(answer, self._plain_cases(right), is_same)
 
     def _equals_mistake(
-        self, found: Any, mistake: Mistake, arguments: Arguments
+        self,
+        found: Any,
+        right: Any,
+        mistake: Mistake,
+        arguments: Arguments,
+        *,
+        is_wrong: bool,
     ) -> bool:
-        """Return whether an answer is what a mistake computes."""
+        """Return whether an answer is what a mistake computes.
+
+        Entries where one of the two is nan or inf are left out, if others show the
+        mistake: a wrong axis is the same mistake with 0 / 0 and without.
+        """
         try:
             wrong = mistake.function(*copy.deepcopy(arguments).values())
         except Exception:  # the mistake is none here, as a logarithm of a negative
@@ -189,12 +337,17 @@ class Task:
         if np.shape(wrong) != np.shape(found):
             return False
         wrong = np.asarray(wrong, dtype=float)
-        same = np.isnan(wrong) & np.isnan(found)
-        wrong, found = np.where(same, 0.0, wrong), np.where(same, 0.0, found)
-        return _is_between(found, wrong, wrong, self.tolerance)
+        is_finite = np.isfinite(wrong) & np.isfinite(found)
+        if not np.all(self._is_between(found, wrong, wrong) | ~is_finite):
+            return False
+        same = np.isnan(wrong) == np.isnan(found)
+        same &= np.isinf(wrong) == np.isinf(found)
+        is_shown = is_finite & ~self._is_between(found, right, right)
+        return bool(same.all() or is_shown.any() or not is_wrong)
 
     def read(self, result: Any, right: Any) -> Any:
         """Return the result as the kind that the right answer has, or refuse it."""
+        why = ""
         if isinstance(right, bool):
             kind, is_kind = "True or False", isinstance(result, bool | np.bool_)
             if is_kind:
@@ -207,12 +360,16 @@ class Task:
         else:
             shape = np.shape(right)
             kind = f"an array of shape {shape}" if shape else "one number"
-            if (array := _as_numbers(result)) is not None:
+            if self.axes:
+                kind += f" with one entry for each {' and '.join(self.axes)}"
+            if (array := as_numbers(result)) is not None:
                 if not shape and array.size == 1:
                     return array.reshape(())
                 if array.shape == shape:
                     return array
-        refuse(self, f"must return {kind}; it returns {describe(result)}")
+                if len(shape) > 1 and sorted(array.shape) == sorted(shape):
+                    why = ", whose axes are exchanged"
+        refuse(self, f"must return {kind}; it returns {describe(result)}{why}")
 
 
 def refuse(task: Task, text: str) -> NoReturn:
@@ -350,17 +507,54 @@ def describe(value: Any) -> str:
         return f"the text {_checks.show(value)}"
     if isinstance(value, bool | np.bool_):
         return f"{bool(value)}"
-    if isinstance(value, int | float | complex | np.number):
-        return f"the number {_checks.show(value)}"
-    if isinstance(value, FunctionType):
+    if isinstance(value, complex | np.complexfloating):
+        return f"the complex number {_checks.show(value)}"
+    if isinstance(value, int | float | np.number):
+        plain = value.item() if isinstance(value, np.number) else value
+        return f"the number {_checks.show(plain)}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if callable(value):
         return "a function; call it, and return its result"
-    array = _as_numbers(value)
+    if isinstance(value, GeneratorType):
+        return "a generator; make an array of what it yields"
+    if isinstance(value, dict):
+        return "a dictionary"
+    array = as_numbers(value)
     if array is not None:
         return f"numbers of shape {array.shape}"
-    return f"a {type(value).__name__}"
+    return _describe_entries(value)
 
 
-def _as_numbers(value: Any) -> Array | None:
+# what an array that has no numbers holds, by the letter of its type
+_ENTRIES = {
+    "b": "True and False",
+    "c": "complex numbers",
+    "U": "texts",
+    "S": "texts",
+    "O": "objects that are no numbers, as None is",
+    "M": "dates",
+    "m": "lengths of time",
+    "V": "records",
+}
+
+
+def _describe_entries(value: Any) -> str:
+    """Name a list or an array whose entries are no numbers, or another object."""
+    if isinstance(value, list | tuple):
+        name = "a list" if isinstance(value, list) else "a tuple"
+        try:
+            array = np.asarray(value)
+        except Exception:
+            return f"{name} whose parts differ in length"
+    elif isinstance(value, np.ndarray):
+        name, array = f"an array of shape {value.shape}", value
+    else:
+        return f"an object of the type {type(value).__name__}"
+    return f"{name} of {_ENTRIES.get(array.dtype.kind, 'no numbers')}"
+
+
+def as_numbers(value: Any) -> Array | None:
     """Return real numbers as an array, and None for all else."""
     if is_sparse(value):
         value = value.toarray()
@@ -373,29 +567,3 @@ def _as_numbers(value: Any) -> Array | None:
     except Exception:  # a ragged list, or an object whose __array__ raises anything
         return None
     return array.astype(float) if array.dtype.kind in "iuf" else None
-
-
-def _is_between(
-    found: Any, low: Any, high: Any, tolerance: float, floor: float = 1.0
-) -> bool:
-    """Return whether numbers lie between two others, inf as itself.
-
-    The tolerance is relative to the largest, or to ``floor`` where all are smaller: a
-    standard error of 0 is the root of what rounding leaves.
-    """
-    found, low, high = (np.asarray(x, dtype=float) for x in (found, low, high))
-    finite = np.abs(high)[np.isfinite(high)]
-    room = tolerance * max(floor, finite.max(initial=0.0))
-    inside = (found >= low - room) & (found <= high + room)
-    return bool(np.all(inside | (found == low)))
-
-
-def _difference(found: Array, right: Array) -> str:
-    """Write where two results differ most."""
-    if not right.shape:
-        return f"it returns {float(found):.6g}, and {float(right):.6g} is right."
-    gap = np.where(found == right, 0.0, np.abs(found - right))
-    gap = np.where(np.isnan(gap), np.inf, gap)
-    at = tuple(int(k) for k in np.unravel_index(int(gap.argmax()), gap.shape))
-    place = ", ".join(map(str, at))
-    return f"entry [{place}] is {found[at]:.6g}, and {right[at]:.6g} is right."

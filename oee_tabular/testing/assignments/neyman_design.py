@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from oee_tabular.exact import occupancy, state_values
-from oee_tabular.testing.assignments.drawing import Parts, draw_parts, draw_policy
-from oee_tabular.testing.assignments.judging import Arguments, Mistake, Task
+from oee_tabular.testing.assignments.drawing import (
+    Parts,
+    Situation,
+    situation_kinds,
+)
+from oee_tabular.testing.assignments.judging import Arguments, Kind, Mistake, Task
 from oee_tabular.typing import Array
 
 
-def _draw_costs(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    parts = draw_parts(rng, is_hard)
-    policy = draw_policy(rng, parts.r.shape, is_hard=is_hard)
-    return {
-        "P": parts.P,
-        "r": parts.r,
-        "mu": parts.mu,
-        "policy": policy,
-        "discount": parts.discount,
-    }
+def _for_costs(drawn: Situation) -> Arguments:
+    P, r, mu, discount = drawn.parts
+    return {"P": P, "r": r, "mu": mu, "policy": drawn.policy, "discount": discount}
 
 
 class _Terms(NamedTuple):
@@ -54,12 +52,56 @@ def _mistake(rule: Callable[[_Terms], Array], hint: str) -> Mistake:
     return Mistake(lambda *arguments: rule(_terms(*arguments)), hint)
 
 
-def _draw_design(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    costs = np.round(rng.gamma(0.7, size=(int(rng.integers(2, 5)), 2)), 3) + 0.01
-    if is_hard:
-        costs[rng.random(costs.shape) < 0.3] = 0.0
-        costs[0, 0] = 1.0
-    return {"costs": costs, "n": int(rng.integers(50, 500))}
+def _draw_design(
+    rng: np.random.Generator,
+    *,
+    shape: tuple[int, int] | None = None,
+    n: int | None = None,
+    n_zeros: int = 0,
+    least: float = 0.01,
+) -> Arguments:
+    shape = (int(rng.integers(3, 6)), 2) if shape is None else shape
+    costs = np.round(rng.gamma(0.7, size=shape), 3) + 0.01
+    costs.ravel()[rng.permutation(costs.size)[:n_zeros]] = 0.0
+    if least < 0.01:
+        costs[0, 0], costs[-1, -1] = least, 1.0 / least
+    return {"costs": costs, "n": int(rng.integers(50, 500)) if n is None else n}
+
+
+def _draw_equal(rng: np.random.Generator) -> Arguments:
+    drawn = _draw_design(rng)
+    return drawn | {"costs": np.full(drawn["costs"].shape, drawn["costs"][0, 0])}
+
+
+DESIGN_KINDS = (
+    Kind("", _draw_design),
+    Kind(
+        "two costs are 0",
+        partial(_draw_design, n_zeros=2),
+        "a pair of cost 0 gets nothing, and the others share all of n.",
+    ),
+    Kind(
+        "costs are from 1e-6 to 1e6",
+        partial(_draw_design, least=1e-6),
+        "a small cost is a cost: no floor, no number that is added, no rounding.",
+    ),
+    Kind("all costs are equal", _draw_equal, "equal costs get equal shares of n."),
+    Kind(
+        "one pair alone has a cost",
+        partial(_draw_design, shape=(2, 3), n_zeros=5),
+        "what has no cost gets nothing, and one pair gets all of n.",
+    ),
+    Kind(
+        "there are more actions than states",
+        partial(_draw_design, shape=(2, 5)),
+        "n is for all pairs together, of every state and every action.",
+    ),
+    Kind(
+        "n is 1",
+        partial(_draw_design, n=1),
+        "the numbers are real, and add up to n; do not round.",
+    ),
+)
 
 
 def _design(costs: Array, n: int) -> Array:
@@ -67,14 +109,74 @@ def _design(costs: Array, n: int) -> Array:
     return np.asarray(n * roots / roots.sum())
 
 
-def _draw_variance(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    costs = _draw_design(rng, is_hard)["costs"]
-    counts = rng.integers(1, 60, size=costs.shape)
-    if is_hard:
-        counts[costs == 0] = 0  # 0 / 0 costs nothing
-        if rng.random() < 0.5:
-            counts[0, 0] = 0  # what matters was never recorded
+def _draw_variance(
+    rng: np.random.Generator,
+    *,
+    n_zeros: int = 0,
+    n_unrecorded: int = 0,
+    least: float = 0.01,
+    most: int = 60,
+) -> Arguments:
+    """Draw costs and counts; pairs of cost 0 and ``n_unrecorded`` others have none."""
+    costs = _draw_design(rng, n_zeros=n_zeros, least=least)["costs"]
+    counts = rng.integers(1, most, size=costs.shape)
+    counts[costs == 0] = 0  # 0 / 0 costs nothing
+    matters = np.flatnonzero(costs > 0)
+    counts.ravel()[matters[:n_unrecorded]] = 0
     return {"costs": costs, "counts": counts}
+
+
+def _draw_idle(rng: np.random.Generator) -> Arguments:
+    """Draw a log with transitions in pairs of cost 0."""
+    drawn = _draw_variance(rng, n_zeros=2)
+    return drawn | {"counts": drawn["counts"] + 5}
+
+
+def _draw_unequal(rng: np.random.Generator) -> Arguments:
+    drawn = _draw_variance(rng)
+    drawn["counts"][0] *= 100_000
+    drawn["counts"][-1] = 1
+    return drawn
+
+
+_SILENCE = (
+    "a pair of positive cost, however small, that was never recorded makes the variance"
+    " inf."
+)
+
+VARIANCE_KINDS = (
+    Kind("", _draw_variance),
+    Kind(
+        "pairs of cost 0 were never recorded",
+        partial(_draw_variance, n_zeros=2),
+        "0 / 0 is nan: a pair of cost 0 adds 0, also without counts.",
+    ),
+    Kind(
+        "a pair of positive cost was never recorded",
+        partial(_draw_variance, n_unrecorded=1),
+        _SILENCE,
+    ),
+    Kind(
+        "a pair of cost 1e-6 was never recorded",
+        partial(_draw_variance, n_unrecorded=1, least=1e-6),
+        _SILENCE,
+    ),
+    Kind(
+        "pairs of cost 0 and of positive cost were never recorded",
+        partial(_draw_variance, n_zeros=2, n_unrecorded=1),
+        "inf and nan are told apart pair by pair: cost 0 adds 0, any other inf.",
+    ),
+    Kind(
+        "pairs of cost 0 were recorded",
+        _draw_idle,
+        "a pair of cost 0 adds 0 with any count.",
+    ),
+    Kind(
+        "pairs have one transition, and others millions",
+        _draw_unequal,
+        "each cost is divided by the count of its own pair.",
+    ),
+)
 
 
 def _variance(costs: Array, counts: Array) -> float:
@@ -86,7 +188,8 @@ def _variance(costs: Array, counts: Array) -> float:
 COSTS = Task(
     name="6_costs",
     call="costs(P, r, mu, policy, discount)",
-    draw=_draw_costs,
+    kinds=situation_kinds(_for_costs, long=0.99),
+    axes=("state", "action"),
     solve=_costs,
     hint="c(s, a) = (discount / (1 - discount))^2 d(s, a)^2 Var V(s'), where d is the"
     " occupancy and the variance is over s' drawn from P(. | s, a).",
@@ -135,13 +238,32 @@ COSTS = Task(
             "the policy's probability is not the time spent in the pair; multiply by"
             " the occupancy of the state.",
         ),
+        _mistake(
+            lambda x: x.factor**2 * x.variance,
+            "the occupancy is missing: a pair matters by the time spent in it.",
+        ),
+        _mistake(
+            lambda x: (x.factor * x.d) ** 2 * (x.P @ x.V) ** 2,
+            "this is the square of the mean of V; its variance is asked for.",
+        ),
+        _mistake(
+            lambda x: (x.factor * x.d / (1.0 - x.discount)) ** 2 * x.variance,
+            "the occupancy sums to 1: its factor (1 - discount) belongs to it.",
+        ),
+        _mistake(
+            lambda x: (x.factor * x.d) ** 2 * x.P.var(axis=2),
+            "the variance is of V(s'), weighted by P(s' | s, a), and not of the"
+            " probabilities.",
+        ),
     ),
 )
 
 DESIGN = Task(
     name="6_design",
     call="neyman_design(costs, n)",
-    draw=_draw_design,
+    kinds=DESIGN_KINDS,
+    is_entrywise=True,
+    axes=("state", "action"),
     solve=_design,
     hint="the sum of costs / n(s, a) is least where n(s, a) is proportional to the root"
     " of the cost. The shares add up to n.",
@@ -186,13 +308,35 @@ DESIGN = Task(
             lambda costs, n: n * (1 / np.sqrt(costs)) / (1 / np.sqrt(costs)).sum(),
             "the more expensive pair gets more transitions, and not fewer.",
         ),
+        Mistake(
+            lambda costs, n: n * (1 / costs) / (1 / costs).sum(),
+            "the more expensive pair gets more transitions, and not fewer.",
+        ),
+        Mistake(
+            lambda costs, n: np.sqrt(n * costs / costs.sum()),
+            "the root is of the cost alone, and not of n.",
+        ),
+        Mistake(
+            lambda costs, n: (
+                n * np.sqrt(costs) / np.sqrt(costs).sum(axis=0, keepdims=True)
+            ),
+            "n is for all pairs together, and not for each action.",
+        ),
+        Mistake(
+            lambda costs, n: np.floor(n * np.sqrt(costs) / np.sqrt(costs).sum()),
+            "do not round: rounded numbers need not add up to n.",
+        ),
+        Mistake(
+            lambda costs, n: np.ceil(n * np.sqrt(costs) / np.sqrt(costs).sum()),
+            "do not round: rounded numbers need not add up to n.",
+        ),
     ),
 )
 
 VARIANCE = Task(
     name="6_variance",
     call="variance(costs, counts)",
-    draw=_draw_variance,
+    kinds=VARIANCE_KINDS,
     solve=_variance,
     hint="the variance is the sum of costs / counts. A pair of cost 0 adds 0, also"
     " without counts; one of positive cost without counts makes it inf.",
@@ -225,6 +369,27 @@ VARIANCE = Task(
         Mistake(
             lambda costs, counts: (costs / (counts / counts.sum())).sum(),
             "divide by the counts; by shares this is n times the variance.",
+        ),
+        Mistake(
+            lambda costs, counts: (costs / np.sqrt(counts)).sum(),
+            "divide by the counts, and not by their roots.",
+        ),
+        Mistake(
+            lambda costs, counts: (costs / (counts + 1)).sum(),
+            "divide by the counts as they are; nothing is added to them.",
+        ),
+        Mistake(
+            lambda costs, counts: (costs * counts).sum(),
+            "the variance falls with the counts: divide by them.",
+        ),
+        Mistake(
+            lambda costs, counts: (costs**2 / counts).sum(),
+            "the costs enter as they are, and not squared.",
+        ),
+        Mistake(
+            lambda costs, counts: np.nan_to_num(costs / counts, posinf=0.0).sum(),
+            "a pair that matters and was never recorded makes the variance inf; leaving"
+            " it out takes silence for certainty.",
         ),
     ),
 )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from scipy import sparse
 
@@ -9,8 +12,8 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio import true_ratio as ratio_of
 from oee_tabular.testing.assignments.drawing import draw_counts, draw_rows
-from oee_tabular.testing.assignments.judging import Arguments, Mistake, Task
-from oee_tabular.typing import Array
+from oee_tabular.testing.assignments.judging import Arguments, Kind, Mistake, Task
+from oee_tabular.typing import Array, BoolArray
 
 
 def _as_mdp(P: Array) -> FiniteMDP:
@@ -18,41 +21,301 @@ def _as_mdp(P: Array) -> FiniteMDP:
     return FiniteMDP(P, np.zeros(P.shape[:2]), np.full(n, 1 / n), 0.9)
 
 
-def _draw_pair(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    n_states, n_actions = int(rng.integers(3, 5)), 2
+TINY = 1e-6  # a small probability
+MINUTE = 1e-9  # the smallest one that is drawn
+RARE = 1e-3  # above small probabilities, and below all others
+
+
+def _draw_pair(
+    rng: np.random.Generator,
+    *,
+    n_states: int | None = None,
+    n_actions: int = 2,
+    simulator_has_zeros: bool = False,
+    target_has_zeros: bool = False,
+) -> Arguments:
+    """Draw a target in the support of a simulator."""
+    n_states = int(rng.integers(3, 5)) if n_states is None else n_states
     shape = (n_states, n_actions, n_states)
-    simulator = draw_rows(rng, shape, has_zeros=is_hard)
+    simulator = draw_rows(rng, shape, has_zeros=simulator_has_zeros)
     target = draw_rows(rng, shape, has_zeros=False) * (simulator > 0)
-    target *= (rng.random(shape) < 0.8) | (
-        simulator == simulator.max(-1, keepdims=True)
-    )
+    if target_has_zeros:
+        largest = simulator == simulator.max(axis=-1, keepdims=True)
+        target *= largest | (rng.random(shape) < 0.6)
     target /= target.sum(axis=-1, keepdims=True)
     return {"target": target, "simulator": simulator}
 
 
-def _draw_supports(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    """Draw a pair with one support inside of the other, equal ones, or neither."""
-    pair = _draw_pair(rng, True)
+def _draw_tiny(
+    rng: np.random.Generator, *, size: float, is_tiny_in_target: bool
+) -> Arguments:
+    """Draw a transition that the simulator, and perhaps the target, makes rarely."""
+    pair = _draw_pair(rng)
+    for name, P in pair.items():
+        if name == "simulator" or is_tiny_in_target:
+            for s, a in np.ndindex(*P.shape[:2]):
+                t = (s + a) % P.shape[2]
+                P[s, a, t] = 0.0
+                P[s, a] /= P[s, a].sum()
+                P[s, a, t] = size * (2.0 if name == "target" else 1.0)
+                P[s, a] /= P[s, a].sum()
+    return pair
+
+
+def _draw_certain(rng: np.random.Generator) -> Arguments:
+    """Draw transitions that are certain in both."""
+    n = int(rng.integers(3, 5))
+    P = np.eye(n)[rng.integers(n, size=(n, 2))]
+    return {"target": P.copy(), "simulator": P}
+
+
+def _draw_equal(rng: np.random.Generator) -> Arguments:
+    pair = _draw_pair(rng, simulator_has_zeros=True)
+    return pair | {"target": pair["simulator"].copy()}
+
+
+def _draw_outside(
+    rng: np.random.Generator, *, size: float, is_narrow: bool = False
+) -> Arguments:
+    """Draw a target with one transition that the simulator never makes.
+
+    Other actions and other states of the simulator make it, or one of the two never
+    does. A narrow target makes fewer transitions than the simulator.
+    """
+    pair = _draw_pair(rng, target_has_zeros=is_narrow)
     target, simulator = pair["target"], pair["simulator"]
-    simulator_is_full, target_is_full, is_equal, is_outside = rng.integers(
-        5
-    ) == np.arange(4)
-    if simulator_is_full:
-        simulator = draw_rows(rng, simulator.shape, has_zeros=False)
-    if target_is_full:
-        target = draw_rows(rng, target.shape, has_zeros=False)
-    if is_equal:
-        target = simulator**2
-        target /= target.sum(axis=-1, keepdims=True)
-    if target_is_full or is_outside:
-        # a transition of the target that the simulator never makes
-        s, t = int(rng.integers(len(target))), int(target[0, -1].argmax())
-        simulator[s, -1] = np.where(np.arange(len(target)) == t, 0.0, 1.0)
-        simulator[s, -1] /= simulator[s, -1].sum()
-        share = 1e-9 if is_hard else 0.3
-        target[s, -1] = (1.0 - share) * simulator[s, -1]
-        target[s, -1, t] = share
-    return {"target": target, "simulator": simulator}
+    s, a, t = (int(rng.integers(n)) for n in target.shape)
+    rows: tuple[Any, Any] = ((s, a), (s, slice(None)), (slice(None), a))[
+        rng.integers(3)
+    ]
+    simulator[(*rows, t)] = 0.0
+    target[(*rows, t)] = 0.0
+    simulator /= simulator.sum(axis=-1, keepdims=True)
+    target /= np.maximum(target.sum(axis=-1, keepdims=True), 1e-300)
+    empty = target.sum(axis=-1) == 0
+    target[empty] = simulator[empty]
+    target[s, a] *= 1.0 - size
+    target[s, a, t] = size
+    return pair
+
+
+_ANY_SIZE = (
+    "a small probability is a probability: compare with 0, and with no other number."
+)
+_EACH_ROW = (
+    "each pair (s, a) has a row of its own. Compare entry by entry, with nothing summed"
+    " or counted over states or actions."
+)
+
+SUPPORT_KINDS = (
+    Kind("", partial(_draw_outside, size=0.3), _EACH_ROW),
+    Kind("both have full support", _draw_pair),
+    Kind(
+        "the simulator does more than the target",
+        partial(_draw_pair, target_has_zeros=True),
+        "the simulator may do more than the target.",
+    ),
+    Kind("both have zeros", partial(_draw_pair, simulator_has_zeros=True)),
+    Kind(
+        "a probability of the target is 1e-6",
+        partial(_draw_outside, size=TINY),
+        _ANY_SIZE,
+    ),
+    Kind(
+        "a probability of the target is 1e-9",
+        partial(_draw_outside, size=MINUTE),
+        _ANY_SIZE,
+    ),
+    Kind(
+        "probabilities of the simulator are 1e-9",
+        partial(_draw_tiny, size=MINUTE, is_tiny_in_target=False),
+        _ANY_SIZE,
+    ),
+    Kind(
+        "the target does less than the simulator, with one exception",
+        partial(_draw_outside, size=0.3, is_narrow=True),
+        _EACH_ROW,
+    ),
+    Kind("the two are equal", _draw_equal),
+    Kind("transitions are certain", _draw_certain),
+)
+
+_NO_FLOOR = (
+    "divide by the simulator's probability as it is, however small: a floor under it or"
+    " a number added to it changes the ratio. Treat zeros apart."
+)
+_NEITHER = "where the simulator never goes, write 0."
+
+
+def _is_never_simulated(_: Array, simulator: Array) -> BoolArray:
+    return np.asarray(simulator == 0)
+
+
+def _is_rarely_simulated(_: Array, simulator: Array) -> BoolArray:
+    return np.asarray(simulator < RARE)
+
+
+def _is_unrecorded(counts: Array, _: Array) -> BoolArray:
+    return np.asarray((counts.sum(axis=-1, keepdims=True) == 0) & (counts == 0))
+
+
+RATIO_KINDS = (
+    Kind("", _draw_pair),
+    Kind(
+        "the simulator has zeros",
+        partial(_draw_pair, simulator_has_zeros=True),
+        _NEITHER,
+        _is_never_simulated,
+    ),
+    Kind(
+        "the target has zeros and the simulator has none",
+        partial(_draw_pair, target_has_zeros=True),
+        "where the target never goes and the simulator does, the quotient is 0.",
+    ),
+    Kind(
+        "probabilities of both are near 1e-6",
+        partial(_draw_tiny, size=TINY, is_tiny_in_target=True),
+        _NO_FLOOR,
+        _is_rarely_simulated,
+    ),
+    Kind(
+        "probabilities of the simulator are 1e-6",
+        partial(_draw_tiny, size=TINY, is_tiny_in_target=False),
+        "a ratio may be very large and is not cut; " + _NO_FLOOR,
+        _is_rarely_simulated,
+    ),
+    Kind(
+        "probabilities of both are near 1e-9",
+        partial(_draw_tiny, size=MINUTE, is_tiny_in_target=True),
+        _NO_FLOOR,
+        _is_rarely_simulated,
+    ),
+    Kind(
+        "both have zeros",
+        partial(_draw_pair, simulator_has_zeros=True, target_has_zeros=True),
+        _NEITHER,
+        _is_never_simulated,
+    ),
+    Kind(
+        "the two are equal",
+        _draw_equal,
+        "the ratio is 1 where both go, and 0 where neither does.",
+    ),
+    Kind(
+        "there are more actions than states",
+        partial(_draw_pair, n_states=2, n_actions=5),
+        "the axes are state, action and next state; take no number of one for another.",
+    ),
+    Kind("transitions are certain", _draw_certain, _NEITHER, _is_never_simulated),
+)
+
+
+def _draw_log(
+    rng: np.random.Generator,
+    *,
+    least: int = 3,
+    most: int = 12,
+    n_unrecorded: int = 0,
+    is_unequal: bool = False,
+    simulator_has_zeros: bool = False,
+    n_states: int | None = None,
+    n_actions: int = 2,
+) -> Arguments:
+    """Draw the counts of a log of the target."""
+    pair = _draw_pair(
+        rng,
+        n_states=n_states,
+        n_actions=n_actions,
+        simulator_has_zeros=simulator_has_zeros,
+    )
+    shape = pair["target"].shape[:2]
+    n = rng.integers(least, most, size=shape)
+    n[-1, -1] = least
+    if is_unequal:
+        n[0] = 100_000
+    n.ravel()[rng.permutation(n.size)[:n_unrecorded]] = 0
+    counts = draw_counts(rng, n, pair["target"])
+    return {"counts": counts, "simulator": pair["simulator"]}
+
+
+def _draw_impossible(rng: np.random.Generator) -> Arguments:
+    """Draw a log with transitions that the simulator never makes."""
+    drawn = _draw_log(rng, simulator_has_zeros=True)
+    simulator, counts = drawn["simulator"], drawn["counts"]
+    for s in range(len(simulator)):
+        t = (int(simulator[s, 0].argmax()) + 1) % len(simulator)
+        simulator[s, 0, t] = 0.0
+        simulator[s, 0] /= simulator[s, 0].sum()
+        counts[s, 0, t] = int(rng.integers(1, 5))
+    return drawn
+
+
+def _draw_tiny_simulator(rng: np.random.Generator) -> Arguments:
+    """Draw a log with transitions to which the simulator gives 1e-6."""
+    pair = _draw_tiny(rng, size=TINY, is_tiny_in_target=False)
+    n = rng.integers(20, 40, size=pair["target"].shape[:2])
+    counts = draw_counts(rng, n, pair["target"])
+    return {"counts": counts, "simulator": pair["simulator"]}
+
+
+_UNRECORDED = (
+    "a pair (s, a) without counts keeps the simulator: its ratio is 1 where the simulator"
+    " goes, and 0 where it does not."
+)
+_OWN_SUM = (
+    "each pair (s, a) has a sum of counts of its own, and one transition is enough to"
+    " be recorded."
+)
+
+COUNTS_KINDS = (
+    Kind("", _draw_log),
+    Kind(
+        "the simulator has zeros",
+        partial(_draw_log, simulator_has_zeros=True),
+        _NEITHER,
+        _is_never_simulated,
+    ),
+    Kind(
+        "two pairs were never recorded",
+        partial(_draw_log, n_unrecorded=2),
+        _UNRECORDED,
+        _is_unrecorded,
+    ),
+    Kind(
+        "pairs were never recorded, and the simulator has zeros",
+        partial(_draw_log, n_unrecorded=3, simulator_has_zeros=True),
+        _UNRECORDED,
+        _is_unrecorded,
+    ),
+    Kind(
+        "the log has transitions that the simulator never makes",
+        _draw_impossible,
+        "such a transition counts in n(s, a), and its own ratio is 0. The other"
+        " frequencies of its pair are not made larger.",
+    ),
+    Kind(
+        "probabilities of the simulator are 1e-6",
+        _draw_tiny_simulator,
+        "a ratio may be very large and is not cut; " + _NO_FLOOR,
+        _is_rarely_simulated,
+    ),
+    Kind(
+        "pairs have one or two transitions, and others 100 000",
+        partial(_draw_log, least=1, most=3, is_unequal=True),
+        _OWN_SUM,
+    ),
+    Kind(
+        "nothing was recorded",
+        partial(_draw_log, n_unrecorded=100, simulator_has_zeros=True),
+        _UNRECORDED,
+        _is_unrecorded,
+    ),
+    Kind(
+        "there are more actions than states",
+        partial(_draw_log, n_states=2, n_actions=5),
+        "the axes are state, action and next state; take no number of one for another.",
+    ),
+)
 
 
 def _has_support(target: Array, simulator: Array) -> bool:
@@ -68,28 +331,43 @@ def _true_ratio(target: Array, simulator: Array) -> Array:
     return np.asarray(found.toarray()).reshape(target.shape)
 
 
-def _draw_counts(rng: np.random.Generator, is_hard: bool) -> Arguments:
-    pair = _draw_pair(rng, is_hard)
-    n_states, n_actions, _ = pair["target"].shape
-    n = rng.integers(1 if is_hard else 3, 12, size=(n_states, n_actions))
-    if is_hard:
-        n[0, 0] = 1
-        n[rng.integers(n_states), rng.integers(n_actions)] = 0
-    counts = draw_counts(rng, n, pair["target"])
-    return {"counts": counts, "simulator": pair["simulator"]}
+def _explain_support(target: Array, simulator: Array) -> str:
+    outside = np.argwhere((target > 0) & (simulator == 0))
+    if len(outside) == 0:
+        return "The simulator makes every transition that the target makes."
+    s, a, t = (int(k) for k in outside[0])
+    return (
+        f"In state {s} action {a} leads to state {t} with probability"
+        f" {target[s, a, t]:.2g} in the target, and never in the simulator."
+    )
 
 
 def _ratio_from_counts(counts: Array, simulator: Array) -> Array:
+    """Compute the ratio of the frequencies of all counts, where the simulator goes.
+
+    The package's ratio is of the transitions that the simulator can make; their share
+    of a row's counts makes it that of all.
+    """
     mdp = _as_mdp(simulator)
-    log = counts.reshape(-1, counts.shape[-1])
-    found = transition_ratio(sparse.csr_array(log), mdp, prior="none").values
-    return np.asarray(found.toarray()).reshape(counts.shape)
+    possible = np.where(simulator > 0, counts, 0)
+    if not possible.any():
+        found = 1.0 * (simulator > 0)
+    else:
+        log = sparse.csr_array(possible.reshape(-1, counts.shape[-1]))
+        ratio = transition_ratio(log, mdp, prior="none").values
+        found = np.asarray(ratio.toarray()).reshape(counts.shape)
+    n = counts.sum(axis=-1, keepdims=True)
+    share = np.where(
+        n > 0, possible.sum(axis=-1, keepdims=True) / np.maximum(n, 1), 1.0
+    )
+    return np.asarray(found * share)
 
 
 SUPPORT = Task(
     name="2_support",
     call="has_support(target, simulator)",
-    draw=_draw_supports,
+    kinds=SUPPORT_KINDS,
+    explain=_explain_support,
     solve=_has_support,
     hint="the answer is False if there is a transition with target > 0 and simulator"
     " == 0, and True else.",
@@ -112,12 +390,40 @@ SUPPORT = Task(
             "a small probability is a probability; compare with 0.",
         ),
         Mistake(
+            lambda target, simulator: bool(
+                np.all((simulator.sum(axis=1) > 0) | (target.sum(axis=1) == 0))
+            ),
+            "each action has a row of its own; do not sum over actions.",
+        ),
+        Mistake(
+            lambda target, simulator: bool(
+                np.all((simulator.sum(axis=0) > 0) | (target.sum(axis=0) == 0))
+            ),
+            "each state has a row of its own; do not sum over states.",
+        ),
+        Mistake(
+            lambda target, simulator: bool(
+                np.count_nonzero(target) <= np.count_nonzero(simulator)
+            ),
+            "how many transitions there are says nothing; compare them one by one.",
+        ),
+        Mistake(
+            lambda target, simulator: bool(np.all(target <= simulator)),
+            "the target's probability may be larger; only a 0 of the simulator matters.",
+        ),
+        Mistake(
+            lambda target, simulator: not _has_support(target, simulator),
+            "True and False are exchanged.",
+        ),
+        Mistake(
             lambda target, simulator: True,
-            "it is True for a target that leaves the simulator's support.",
+            "this is always True. One common transition is not enough: it is False for a"
+            " target that leaves the simulator's support.",
         ),
         Mistake(
             lambda target, simulator: False,
-            "it is False for a target that stays in the simulator's support.",
+            "this is always False; it is True for a target that stays in the simulator's"
+            " support.",
         ),
     ),
 )
@@ -125,7 +431,9 @@ SUPPORT = Task(
 RATIO = Task(
     name="2_ratio",
     call="true_ratio(target, simulator)",
-    draw=_draw_pair,
+    kinds=RATIO_KINDS,
+    is_entrywise=True,
+    axes=("state", "action", "next state"),
     solve=_true_ratio,
     hint="zeta[s, a, t] = target[s, a, t] / simulator[s, a, t], and 0 where the simulator"
     " has 0.",
@@ -133,6 +441,15 @@ RATIO = Task(
         Mistake(
             lambda target, simulator: simulator / target,
             "the ratio is target over simulator: it weights simulated transitions.",
+        ),
+        Mistake(
+            lambda target, simulator: np.minimum(
+                np.divide(
+                    target, simulator, out=np.zeros(target.shape), where=simulator > 0
+                ),
+                1.0,
+            ),
+            "a ratio may be above 1, where the target goes more often.",
         ),
         Mistake(
             lambda target, simulator: target / simulator,
@@ -170,6 +487,22 @@ RATIO = Task(
             ),
             "each action has a row of its own; do not average over actions.",
         ),
+        Mistake(
+            lambda target, simulator: target.copy(),
+            "these are the target's probabilities; divide them by the simulator's.",
+        ),
+        Mistake(
+            lambda target, simulator: np.nan_to_num(
+                target / simulator.sum(axis=1, keepdims=True)
+            ),
+            "each action has a row of its own; do not sum over actions.",
+        ),
+        Mistake(
+            lambda target, simulator: np.nan_to_num(
+                target / simulator.transpose(2, 1, 0)
+            ),
+            "the simulator's states and next states are exchanged.",
+        ),
     ),
 )
 
@@ -179,20 +512,36 @@ def _pseudo_counts(counts: Array, simulator: Array) -> Array:
     return np.asarray(np.nan_to_num(more / more.sum(-1, keepdims=True) / simulator))
 
 
+def _frequencies(counts: Array, *, axis: int = -1) -> Array:
+    with np.errstate(all="ignore"):
+        return np.asarray(counts / counts.sum(axis=axis, keepdims=True))
+
+
+def _possible_alone(counts: Array, simulator: Array) -> Array:
+    return _ratio_from_counts(np.where(simulator > 0, counts, 0), simulator)
+
+
+def _ones_where_unrecorded(counts: Array, simulator: Array) -> Array:
+    is_recorded = counts.sum(axis=-1, keepdims=True) > 0
+    return np.where(is_recorded, _ratio_from_counts(counts, simulator), 1.0)
+
+
 FROM_COUNTS = Task(
     name="2_counts",
     call="ratio_from_counts(counts, simulator)",
-    draw=_draw_counts,
+    kinds=COUNTS_KINDS,
+    is_entrywise=True,
+    axes=("state", "action", "next state"),
     solve=_ratio_from_counts,
-    hint="the frequencies of a row, counts / (sum of the row's counts), take the place"
-    " of the target; a row without counts keeps the simulator, ratio 1.",
+    hint="the frequencies of a pair, counts / (sum of the pair's counts), take the place"
+    " of the target, and are divided by the simulator's probabilities.",
     tolerance=1e-6,
     mistakes=(
         Mistake(
             lambda counts, simulator: (
                 counts / counts.sum(axis=-1, keepdims=True) / simulator
             ),
-            "0 / 0 is nan, in a row without counts, whose ratio stays 1, and where the"
+            "0 / 0 is nan: in a pair without counts, whose ratio is 1, and where the"
             " simulator never goes, where it is 0.",
         ),
         Mistake(
@@ -207,7 +556,7 @@ FROM_COUNTS = Task(
             lambda counts, simulator: np.nan_to_num(
                 counts / counts.sum(axis=-1, keepdims=True) / simulator
             ),
-            "a row without counts says nothing; its ratio stays 1 on the support.",
+            "a pair without counts says nothing: its ratio is 1 where the simulator goes.",
         ),
         Mistake(
             lambda counts, simulator: np.where(
@@ -215,7 +564,7 @@ FROM_COUNTS = Task(
                 counts / counts.sum(axis=-1, keepdims=True) / simulator,
                 0.0,
             ),
-            "a row without counts says nothing; its ratio stays 1 on the support.",
+            "a pair without counts says nothing: its ratio is 1 where the simulator goes.",
         ),
         Mistake(
             lambda counts, simulator: np.nan_to_num(
@@ -232,6 +581,43 @@ FROM_COUNTS = Task(
                 counts / counts.sum(axis=0, keepdims=True) / simulator
             ),
             "the sum is over the next state, the last axis.",
+        ),
+        Mistake(
+            lambda counts, simulator: np.nan_to_num(
+                _frequencies(counts, axis=1) / simulator
+            ),
+            "the sum is over the next state, the last axis, and not over actions.",
+        ),
+        Mistake(
+            _possible_alone,
+            "a transition that the simulator never makes counts in n(s, a) all the same:"
+            " divide by the sum of all counts of the pair.",
+        ),
+        Mistake(
+            _ones_where_unrecorded,
+            "a pair without counts has the ratio 1 only where the simulator goes, and 0"
+            " where it does not.",
+        ),
+        Mistake(
+            lambda counts, simulator: np.nan_to_num(
+                simulator / _frequencies(counts), posinf=0.0
+            ),
+            "the ratio is the log's frequencies over the simulator, and not the inverse.",
+        ),
+        Mistake(
+            lambda counts, simulator: np.minimum(
+                _ratio_from_counts(counts, simulator), 1.0
+            ),
+            "a ratio may be above 1, where the target goes more often.",
+        ),
+        Mistake(
+            lambda counts, simulator: (
+                lambda mean: np.nan_to_num(mean / simulator, posinf=0.0)
+            )(
+                counts.sum(axis=1, keepdims=True)
+                / counts.sum(axis=(1, 2), keepdims=True)
+            ),
+            "each action has counts of its own; do not sum over actions.",
         ),
     ),
 )
