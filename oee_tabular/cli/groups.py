@@ -35,11 +35,13 @@ def take_groups(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def run(**options: Any) -> None:
-        """Fill the groups and run the command."""
+        """Fill the groups and run the command; options left out have their defaults."""
         given = {}
         for name, group in groups.items():
-            own = {field.name: options[field.name] for field in fields(group)}
-            given[name] = group(**own)
+            own = [field.name for field in fields(group) if field.name in options]
+            given[name] = group(**{option: options.pop(option) for option in own})
+        if options:
+            raise TypeError(f"{command.__name__} has no option {next(iter(options))!r}")
         command(**given)
 
     # what typer reads
