@@ -30,6 +30,16 @@ def _hurried(monkeypatch):
     monkeypatch.setattr("oee_tabular._progress.announce_compiling", lambda tell: None)
 
 
+@pytest.fixture(autouse=True)
+def _own_path():
+    """What a test leaves in this variable decides what scripts of other tests import."""
+    before = os.environ.pop("PYTHONSAFEPATH", None)
+    yield
+    os.environ.pop("PYTHONSAFEPATH", None)
+    if before is not None:
+        os.environ["PYTHONSAFEPATH"] = before
+
+
 @pytest.fixture
 def run(capsys, monkeypatch, tmp_path):
     """``oee`` with words, in strings, in a folder of its own: stdout, or stderr with
