@@ -11,6 +11,7 @@ from oee_tabular.continuous.correction.history import HistoryTask, blend_steps
 from oee_tabular.continuous.evaluation.command_levels import (
     Rounding,
     has_only,
+    include_rounding,
     make_finer,
     make_finer_often,
     measure_roundings,
@@ -19,6 +20,7 @@ from oee_tabular.continuous.evaluation.policies import as_probabilities
 from oee_tabular.continuous.evaluation.rollouts import Rollouts
 from oee_tabular.continuous.log.numbering import share_commands
 from oee_tabular.continuous.task.base import ContinuousTask, Moves
+from oee_tabular.estimators import Estimate
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import ResidualSimulator
 
@@ -126,6 +128,39 @@ def test_the_error_of_rounding_is_measured(levels):
     assert found.n_actions == levels
 
 
+def test_the_error_of_rounding_is_four_thirds_of_a_difference():
+    """Also its standard error, by the same returns under both ways of giving commands."""
+    task = Slider(3)
+    policy = as_probabilities(brake, task.actions)
+    rollouts = Rollouts(10, 1.0, 50, np.random.SeedSequence(0), paths=50)
+    roundings, finer = measure_roundings(task, log_of(task), {"p": policy}, rollouts)
+    coarse = as_probabilities(brake, task.actions)
+
+    def rounded(states):
+        found = np.zeros((len(states), 5))
+        found[:, ::2] = coarse(states)
+        return found
+
+    ways = [rounded, as_probabilities(brake, finer.actions)]
+    returns = rollouts.compare([finer, finer], ways)
+    difference = returns[1] - returns[0]
+    found = roundings[policy]
+    assert_allclose(found.error, 4 / 3 * difference.mean())
+    assert_allclose(found.standard_error, 4 / 3 * difference.std(ddof=1) / np.sqrt(50))
+
+
+@pytest.mark.parametrize(
+    ("error", "ends"),
+    [(0.09, (-1.0, 1.0)), (0.15, (-1.0, 1.225)), (-0.15, (-1.225, 1.0))],
+)
+def test_an_interval_takes_in_an_error_above_a_tenth_of_its_half_width(error, ends):
+    """Of at most 2 d, where the error is 4/3 d."""
+    estimate = Estimate(0.0, 0.5, (-1.0, 1.0))
+    found = include_rounding(estimate, Rounding(3, error, 0.01))
+    assert_allclose(found.interval, ends)
+    assert include_rounding(estimate, None) is estimate
+
+
 @pytest.mark.parametrize(("error", "n"), [(0.05, 0), (0.3, 1), (-1.5, 2), (6.0, 3)])
 def test_refinements_follow_the_law_of_the_square(error, n):
     rounding = Rounding(3, error, 0.01)
@@ -211,6 +246,21 @@ def test_earlier_commands_between_actions_are_shares_of_them(steps):
     )
     expected = -0.1 * log.state[has_last] + 0.1 * log.action[before]
     assert_allclose(moved[1][has_last], expected, atol=1e-12)
+
+
+def test_a_shared_command_pays_the_mean_of_what_its_actions_pay():
+    """In place of what the action next to it pays; that of no share pays its own."""
+    task = Slider(3)
+    states = np.linspace(-1.0, 1.0, 4)[:, None]
+    actions = np.array([0, 1, 2, 2])
+    shares = np.array([[0.25, 0.75, 0], [0, 0.5, 0.5], [0.1, 0.2, 0.7], [0, 0, 0]])
+    own = task.noiseless_step(states, actions)
+    apart = blend_steps(task, states, actions, own.next_state, shares)
+    paid = -np.array([4.0, 0.0, 4.0])
+    means = np.append(shares[:3] @ paid, paid[2])
+    assert_allclose(own.reward + apart.reward, means)
+    to = [0.9 * states[:3, 0] + 0.1 * (shares[:3] @ task.actions[:, 0])]
+    assert_allclose((own.next_state + apart.next_state)[:3, 0], to[0])
 
 
 def test_angles_between_actions_are_the_shorter_way():

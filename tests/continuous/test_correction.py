@@ -37,7 +37,7 @@ from oee_tabular.continuous.correction.sentences import (
 )
 from oee_tabular.continuous.discretization.model import uniform_policy_of
 from oee_tabular.continuous.evaluation.on_cells import calibrated_row
-from oee_tabular.continuous.evaluation.rollouts import refuse_impossible
+from oee_tabular.continuous.evaluation.rollouts import Rollouts, refuse_impossible
 from oee_tabular.continuous.task.episodes import MonteCarlo, compare_returns
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
@@ -214,6 +214,26 @@ def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
     )[0]
     assert (effect.lag, effect.of) == (1, "action")
     assert_allclose(effect.r_squared, 0.5, atol=0.03)
+    # 1 and -1, in the residual's unit
+    assert_allclose(effect.part, 1.0, atol=0.03)
+
+
+def test_rows_that_do_not_count_are_no_neighbours():
+    """The state explains all of a residual, also where most episodes are left out."""
+    log = line_log(Line(noise=0.1), 4000)
+    rng = np.random.default_rng(0)
+    noise = 0.1 * rng.normal(size=4000)
+    effect = history_effects(
+        Line(),
+        log,
+        log.action,
+        np.sin(log.state) + noise[:, None],
+        log.episode % 40,
+        is_smooth=log.episode % 5 == 0,
+        is_free=np.ones(4000, dtype=np.bool_),
+        least=np.zeros(1),
+    )[0]
+    assert effect.r_squared < 0.1
 
 
 def test_sentences_speak_of_the_row_in_front():
@@ -788,6 +808,27 @@ def test_on_cells_no_value_is_beyond_what_the_rewards_sum_to(monkeypatch):
     assert (
         f"1e+09 is impossible: a sum of 20 rewards is between 0 and {highest:.4g}"
         in refused
+    )
+
+
+def test_where_steps_may_end_rewards_may_sum_to_0(monkeypatch):
+    """Also where no row of the log ends: CartPole pays 1 in each of its steps."""
+    monkeypatch.setattr(Rollouts, "estimate", lambda *given: Estimate(1e9))
+    report = evaluate_continuous(
+        CartPole(10.0),
+        record(SIMULATOR, cartpole_policy(0.3), n_transitions=300, max_steps=5, seed=0),
+        {"mixed": cartpole_policy(0.4)},
+        settings=Settings(episodes=50),
+        horizon=20,
+        discount=0.9,
+        seed=0,
+        estimators=["oee"],
+        history=0,
+    )
+    highest = sum(0.9**t for t in range(20))
+    assert (
+        f"1e+09 is impossible: a sum of 20 rewards is between 0 and {highest:.4g}"
+        in report.results[0].estimate.status
     )
 
 

@@ -436,6 +436,23 @@ def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
     assert found[50].standard_error > found[800].standard_error
 
 
+def test_the_standard_error_by_refits_is_unbiased(monkeypatch):
+    """The deviation of the refits' values, each less the value by the same chance."""
+    target = Line(lambda s, a: 0.1 * s, noise=0.2)
+    corrected = ResidualSimulator(Line(noise=0.2), line_log(target, 300), seed=0)
+    returns = np.array([[1.0, 3.0], [2.0, 4.0], [5.0, 3.0]])
+
+    def compare(tasks, *given, **options):
+        return returns if len(tasks) == 3 else compare_returns(tasks, *given, **options)
+
+    monkeypatch.setattr(
+        "oee_tabular.continuous.evaluation.rollouts.compare_returns", compare
+    )
+    found = corrected_value(corrected, half, 50, 5, refits=2, paths=2, seed=0)
+    # means of 3 and 4 in place of 2
+    assert_allclose(found.diagnostics["standard_error_of_the_log"], 0.5**0.5)
+
+
 # ---------------------------------------------------------------- its parts, in plain
 # numpy
 

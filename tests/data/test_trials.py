@@ -55,6 +55,14 @@ def test_trials_of_several_policies():
     assert one.horizon == 4
 
 
+def test_trials_of_one_policy_keep_their_weights():
+    trials = oee.Trials([1.0, 2.0, 3.0], policy=["a", "b", "a"], weight=[1.0, 5.0, 3.0])
+    one = trials.of("a")
+    np.testing.assert_array_equal(one.weight, [1.0, 3.0])
+    assert one.mean == pytest.approx(2.5)
+    assert one.number == pytest.approx(1.6)
+
+
 def test_a_table_of_returns(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("policy,return,weight\na,1.5,1\nb,2,2\n", encoding="utf-8")

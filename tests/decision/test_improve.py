@@ -8,7 +8,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.decision.candidates import find_optimum, find_optimum_where
+from oee_tabular.decision.candidates import (
+    find_optimum,
+    find_optimum_where,
+    propose_optima,
+)
+from oee_tabular.decision.optimism import measure_optimism
 from oee_tabular.decision.splitting import split_counts
 
 SIMULATOR = oee.tasks.gridworld(4, slip=0.3)
@@ -141,6 +146,88 @@ def test_where_nothing_was_recorded_often_the_running_policy_is_kept():
     assert same.all()
     values = [oee.policy_value(SIMULATOR, pi) for pi in (RUNNING, part, free)]
     assert values[0] <= values[1] + 1e-9 <= values[2] + 2e-9
+
+
+def test_variants_change_pairs_that_are_recorded_so_often_and_no_others():
+    """Of four actions the better ones are recorded less; the running policy takes all
+    alike, and what a variant may move goes to the best action that it may take.
+    """
+    P = np.full((2, 4, 2), 0.5)
+    simulator = oee.FiniteMDP(P, [[0.0, 3.0, 2.0, 1.0], [0.0] * 4], 0, 0.9)
+    actions = np.repeat(np.arange(4), (60, 1, 3, 10))
+    log = oee.Transitions(0 * actions, actions, np.arange(74) % 2)
+    made = dict(propose_optima(oee.Problem(simulator, log), np.full((2, 4), 0.25)))
+    expected = {
+        "corrected": [0.0, 1.0, 0.0, 0.0],
+        "corrected, recorded 1+": [0.0, 1.0, 0.0, 0.0],
+        "corrected, recorded 3+": [0.0, 0.25, 0.75, 0.0],
+        "corrected, recorded 10+": [0.0, 0.25, 0.25, 0.5],
+        "simulator": [0.0, 1.0, 0.0, 0.0],
+    }
+    assert list(made) == list(expected)
+    for name, shares in expected.items():
+        assert_allclose(made[name][0], shares, atol=1e-12, err_msg=name)
+
+
+def test_with_a_horizon_a_candidate_is_the_first_step_s():
+    """What pays in the end does not pay in the last step."""
+    P = np.zeros((2, 2, 2))
+    P[0, 0, 0] = P[0, 1, 1] = P[1, :, 1] = 1.0
+    saving = oee.FiniteMDP(P, [[1.0, 0.0], [2.0, 2.0]], 0, 1.0)
+    first = [find_optimum(saving, horizon)[0].argmax() for horizon in (1, 5)]
+    assert first == [0, 1]
+
+
+def test_optimism_is_the_mean_excess_of_halves_by_the_root_of_two():
+    """By its definition, in dense arrays: rows that a half lacks are the whole log's."""
+    rng = np.random.default_rng(2)
+    simulator = oee.FiniteMDP(
+        rng.dirichlet(np.ones(3), size=(3, 2)), rng.normal(size=(3, 2)), 0, 0.8
+    )
+    target = simulator.with_transitions(rng.dirichlet(np.ones(3), size=(3, 2)))
+    runs = oee.uniform_policy(simulator)
+    log = oee.sample_transitions(target, np.full((3, 2), 1 / 6), 14, seed=3)
+    problem = oee.Problem(simulator, log)
+    whole = (
+        oee.transition_ratio(log, simulator, values_of=runs)
+        .target_model(simulator)
+        .transitions.toarray()
+    )
+    excess = {}
+    is_lacking = False
+    for k in range(4):
+        parts = split_counts(problem, 0.5, np.random.default_rng(k))
+        models = []
+        for part in parts:
+            counts = part.toarray()
+            n = counts.sum(axis=1, keepdims=True)
+            is_lacking |= bool((n == 0).any())
+            rows = np.where(n > 0, counts / np.maximum(n, 1), whole)
+            models.append(simulator.with_transitions(rows.reshape(3, 2, 3)))
+        for part, own, other in zip(parts, models, models[::-1], strict=True):
+            half = oee.Problem(simulator, part)
+            for name, policy in propose_optima(half, runs):
+                gains = [
+                    oee.policy_value(model, policy) - oee.policy_value(model, runs)
+                    for model in (own, other)
+                ]
+                excess.setdefault(name, []).append(gains[0] - gains[1])
+    assert is_lacking
+    expected = {k: max(np.mean(v) / np.sqrt(2.0), 0.0) for k, v in excess.items()}
+    found = measure_optimism(problem, runs)
+    assert list(found) == list(expected)
+    assert max(found.values()) > 0.0
+    assert_allclose(list(found.values()), list(expected.values()), rtol=1e-6)
+
+
+def test_the_share_of_a_split_is_that_of_the_part_that_chooses():
+    alone = oee.FiniteMDP(np.full((3, 1, 3), 1 / 3), [0.0, 1.0, 2.0], 0, 0.9)
+    log = oee.sample_episodes(alone, np.ones((3, 1)), 200, 5, seed=0)
+    chooser, certifier = split_counts(oee.Problem(alone, log), 0.3, 7)
+    assert (chooser.sum(), certifier.sum()) == (300.0, 700.0)
+    counts = oee.Problem(alone, log).counts
+    chooser, _ = split_counts(oee.Problem(alone, counts), 0.3, 7)
+    assert abs(chooser.sum() / 1000 - 0.3) < 0.1
 
 
 def test_a_split_has_all_transitions_once_and_is_drawn_again_by_its_seed():

@@ -255,6 +255,16 @@ def test_sequential_use():
     assert three.expected_width[1] < three.expected_width[0] < np.inf
 
 
+def test_what_is_expected_of_a_plan_is_the_least_certain_policy_s():
+    plan = plan_data_collection(SIMULATOR, THREE, n=500)
+    for expected, ends in (
+        (plan.expected_standard_error, [o.standard_error for o in plan.policies]),
+        (plan.expected_width, [o.width for o in plan.policies]),
+    ):
+        assert len({after for _, after in ends}) == 3
+        assert expected == tuple(map(max, zip(*ends, strict=True)))
+
+
 def test_rows_that_the_log_lacks_come_first():
     counts = np.full((25, 4), 50)
     counts[7] = 0

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.gain import Gain
+from oee_tabular.inference.gain import Gain, require_consistent_box
 from oee_tabular.inference.profile_ascent import Search, likelihood_ends
 from oee_tabular.inference.vertices import SHARES, find_moves, value_moves
 
@@ -109,6 +109,29 @@ def test_changes_of_single_rows_are_valued_exactly(rng):
         )
 
 
+def test_in_a_box_what_is_left_of_a_row_goes_to_the_best_next_states():
+    """As much as possible to one next state, and the rest in the order of x."""
+    rng = np.random.default_rng(1)
+    problem, policy = problem_of(rng, n=4)
+    evidence = gather(problem, policy, 0.5, 1.5)
+    search = Search.begin(evidence, 0.95, random_policy(rng, problem.simulator))
+    rows = search.rows
+    x = rng.normal(size=len(search.base.p))
+    moves = find_moves(rows, x)
+    assert len(moves.indptr) > 10
+    own = rows.without_data
+    for k, (begin, end) in enumerate(zip(moves.indptr, moves.indptr[1:], strict=False)):
+        entries = moves.entries[begin:end]
+        low, high = rows.low[entries], rows.high[entries]
+        best = sorted(
+            range(end - begin), key=lambda i: (entries[i] != own[k], -x[entries[i]])
+        )
+        p = low.copy()
+        for i in best:
+            p[i] += min(high[i] - low[i], 1.0 - p.sum())
+        assert_allclose(moves.p[begin:end], p, atol=1e-12)
+
+
 @settings(max_examples=15)
 @given(rngs, st.sampled_from([None, 5]))
 def test_a_policy_gains_nothing_over_itself(rng, horizon):
@@ -138,6 +161,52 @@ def test_over_a_running_policy_of_known_value_it_is_the_interval():
     assert_allclose(gain.lower, quoted.lower - known, rtol=1e-6)
 
 
+def test_over_a_policy_of_known_value_what_was_dropped_counts_at_its_other_end():
+    """What the running policy may be worth more there is what the gain may be less."""
+    P = np.zeros((4, 2, 4))
+    P[0, 0] = [0.0, 0.5, 0.3, 0.2]
+    P[0, 1, 3] = P[3, :, 3] = 1.0
+    P[1] = P[2] = [0.3, 0.3, 0.3, 0.1]
+    rewards = [[0.0, 1.0], [1.0, 1.0], [-1.0, 2.0], [0.0, 0.0]]
+    simulator = oee.FiniteMDP(P, rewards, 0, 0.9)
+    shares = np.array([[0.3, 0.1], [0.2, 0.2], [0.2, 0.0], [0.0, 0.0]])
+    log = oee.sample_transitions(simulator, shares, 60, seed=1)
+    strays = oee.Transitions([0] * 2, [0] * 2, [0] * 2)
+    problem = oee.Problem(
+        simulator, oee.Transitions.concatenate([log, strays]), impossible="drop"
+    )
+    known = np.eye(2)[[1, 0, 0, 0]]
+    runs = np.array([[1.0, 0.0], [0.5, 0.5], [0.4, 0.6], [1.0, 0.0]])
+    quoted = oee.interval(problem, runs, unrecorded=np.inf)
+    gain = gain_of(problem, known, runs)
+    assert_allclose(gain.lower, 1.0 - quoted.upper, rtol=1e-6)
+    back = gain_of(problem, runs, known)
+    assert_allclose(back.lower, quoted.lower - 1.0, rtol=1e-6)
+
+
+def test_counts_of_episodes_contradict_a_box_later():
+    """Their number is random itself, so that it takes more to reject the box."""
+    P = np.zeros((3, 1, 3))
+    P[0, 0, 1:] = 0.5
+    P[1, 0, 1] = P[2, 0, 2] = 1.0
+    simulator = oee.FiniteMDP(P, [0.0, 1.0, 0.0], 0, 0.9)
+    policy = np.ones((3, 1))
+
+    def least_refused(**columns):
+        for k in range(20, 41):
+            log = oee.Transitions(
+                [0] * 40, [0] * 40, [1] * k + [2] * (40 - k), **columns
+            )
+            problem = oee.Problem(simulator, log)
+            try:
+                require_consistent_box(gain_of(problem, policy, policy, box=(0.9, 1.1)))
+            except ValueError:
+                return k
+        return 41
+
+    assert least_refused() < least_refused(episode=np.arange(40)) <= 40
+
+
 def test_a_smaller_set_of_models_has_a_larger_lower_end():
     rng = np.random.default_rng(3)
     problem, policy = problem_of(rng, n=15)
@@ -148,6 +217,19 @@ def test_a_smaller_set_of_models_has_a_larger_lower_end():
     assert ends[0] >= ends[1] - 1e-6 >= ends[2] - 2e-6
     boxed = gain_of(problem, policy, running, box=(0.2, 5.0)).lower
     assert boxed >= ends[2] - 1e-6
+
+
+def test_a_factor_and_a_box_both_bound_a_row():
+    """By the box each of two outcomes has at least 0.4, where a third of the estimate
+    would be less.
+    """
+    rows = np.array([[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]])
+    simulator = oee.FiniteMDP(rows, [[1.0, 0.0], [0.0, 0.0]], 0, 0.9)
+    problem = oee.Problem(simulator, oee.Transitions([0], [1], [1]))
+    mine, runs = np.eye(2)[[0, 0]], np.eye(2)[[1, 0]]
+    for factor, least in ((3.0, 0.4), (1.1, 0.5 / 1.1)):
+        gain = gain_of(problem, mine, runs, factor, (0.8, 1.5))
+        assert_allclose(gain.lower, 1 / (1 - 0.9 * least), rtol=1e-6)
 
 
 def test_a_rough_end_is_no_lower_than_a_thorough_one():

@@ -159,6 +159,13 @@ def corridor(stay_pay):
     return oee.FiniteMDP(P, pay, 0, 1.0)
 
 
+def test_the_gap_of_a_horizon_is_a_discounted_sum():
+    """Of the same rounding in each step, so that late steps hardly add to it."""
+    alone = oee.FiniteMDP(np.ones((1, 2, 1)), [[1.0, 0.5]], 0, 0.5)
+    gaps = [oee.robust_policy(alone, 0.5, 2.0, horizon=t).gap for t in (10, 1000)]
+    assert 0.0 < gaps[0] <= gaps[1] < 1.5 * gaps[0]
+
+
 def test_of_equal_actions_at_discount_1_it_takes_one_that_ends():
     """Staying costs nothing, and every policy that ends gets 1."""
     found = oee.robust_policy(corridor(0.0), 0.5, 2.0)
@@ -171,6 +178,22 @@ def test_of_equal_actions_at_discount_1_it_takes_one_that_ends():
     assert costly.policy[:2].argmax(axis=1).tolist() == [1, 1]
     assert costly.gap < 1e-9
     assert "certificate" not in str(costly)
+
+
+def test_what_may_not_stay_for_sure_leads_to_an_end():
+    """To and fro between two rooms pays 1 and -1, as much as to leave them; without a
+    lower bound nothing must lead out, but at most 3/4 of a step stays inside.
+    """
+    P = np.zeros((3, 2, 3))
+    P[0, 0, 1] = P[1, 0, 0] = P[2, :, 2] = 1.0
+    P[0, 1] = [0.5, 0.0, 0.5]
+    P[1, 1] = [0.0, 0.5, 0.5]
+    pay = np.zeros((3, 2, 3))
+    pay[0, 0, 1], pay[1, 0, 0] = 1.0, -1.0
+    pay[0, 1, 2], pay[1, 1, 2] = 2.0, 1.0
+    found = oee.robust_policy(oee.FiniteMDP(P, pay, 0, 1.0), 0.0, 1.5)
+    assert found.policy[:2].argmax(axis=1).tolist() == [1, 1]
+    assert found.value == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,17 @@ def test_on_two_states_the_set_is_that_of_an_enumeration(up, down, won):
         )
 
 
+@pytest.mark.parametrize("won", [0, 4, 8, 12])
+def test_the_test_of_a_contradiction_by_hand(won):
+    """Twice the least of l is a chi-square of one degree of freedom."""
+    j = np.linspace(1e-7, 1 - 1e-7, 200_001)
+    height = 30 * (special.rel_entr(2 / 3, j) + special.rel_entr(1 / 3, 1 - j))
+    height += 12 * (won / 12 - j) ** 2 / (2 * j * (1 - j))
+    found = joined(20, 10, oee.Trials.from_successes(won, 12))
+    p_value = found.diagnostics["contradiction_p_value"]
+    assert p_value == pytest.approx(stats.chi2.sf(2 * height.min(), 1), rel=1e-3)
+
+
 def test_few_trials_change_little_and_many_decide():
     log = joined(20, 10, None)
     assert log.method == "likelihood"
@@ -149,6 +160,22 @@ def lake(won=9, **options):
         trials = oee.Trials.from_successes(won, 12, **options)
     problem = oee.Problem(simulator, log, horizon=8, trials=trials)
     return problem, policy, oee.policy_value(target, policy, horizon=8)
+
+
+@pytest.mark.parametrize("level", [0.8, 0.95])
+def test_the_trials_alone_have_wilsons_or_students_interval(level):
+    simulator, counts = coin(20, 10)
+    trials = oee.Trials.from_successes(9, 12)
+    problem = oee.Problem(simulator, counts, horizon=1, trials=trials)
+    both = join_trials(problem, [0, 0, 0], confidence=level)
+    wilson = stats.binomtest(9, 12).proportion_ci(level, "wilson")
+    np.testing.assert_allclose(both.trials, wilson)
+    y = np.array([0.2, 0.5, -0.4, 0.1, 0.3])
+    log = oee.Transitions([0] * 8, [0] * 8, [1, 2] * 4)
+    problem = oee.Problem(paid([-1.0, 1.0]), log, horizon=1, trials=oee.Trials(y))
+    both = join_trials(problem, [0, 0, 0], confidence=level)
+    student = stats.t.interval(level, 4, y.mean(), y.std(ddof=1) / np.sqrt(5))
+    np.testing.assert_allclose(both.trials, student)
 
 
 def test_both_are_narrower_than_either():

@@ -2,7 +2,9 @@
 several of them.
 """
 
+import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +15,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp.horizons import horizon_length, limit_horizon
 from oee_tabular.mdp.policies import check_policies
 
 SUM_TOLERANCE = 1e-8  # of a row's sum
@@ -293,6 +295,21 @@ def test_at_discount_1_the_cost_is_reported():
         UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"
     ):
         assert limit_horizon(20_000, 1.0, work=1.2e5) == 20_000
+
+
+def test_a_horizon_is_followed_until_nothing_can_be_left():
+    """The first reward may come after as many steps as there are states; rows that sum
+    to more than 1 undo a part of the discount.
+    """
+    least = math.ceil(200 * math.log(2) / -math.log(0.9))
+    with pytest.warns(UserWarning, match=f"is followed to step {20_000 + least}"):
+        assert limit_horizon(FAR, 0.9, ahead=20_000) == 20_000 + least
+    growing = SimpleNamespace(
+        transitions=sparse.csr_array([[1.05]]), discount=0.95, n_states=1
+    )
+    least = math.ceil(200 * math.log(2) / -math.log(0.95 * 1.05))
+    with pytest.warns(UserWarning, match=f"is followed to step {1 + least}"):
+        assert horizon_length(FAR, growing) == 1 + least
 
 
 def test_arrays_with_an_entry_for_each_step_must_fit():

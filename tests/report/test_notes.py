@@ -9,6 +9,7 @@ import oee_tabular as oee
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.findings import Finding, no_value
 from oee_tabular.report import render_comparison
+from oee_tabular.report.columns import write_basis
 from oee_tabular.report.notes import RANKS, Rank, rank_notes
 
 SIMULATOR = oee.tasks.gridworld(5, 0.3)
@@ -115,6 +116,21 @@ def test_a_second_note_of_a_kind_waits_for_other_kinds():
     assert kinds[:3] == ["unrecorded", "simulator", "next"]
 
 
+def test_a_second_note_about_the_data_waits_for_nothing():
+    findings = tuple(
+        Finding("first states", size, f"Episodes begin elsewhere, by {size}.")
+        for size in (2.0, 1.0)
+    )
+
+    def mine(problem, policy):
+        return Estimate(1.0, 0.5, findings=findings, is_headline=True)
+
+    report = oee.evaluate(Problem(SIMULATOR, FEW), EXPERT, estimators={"mine": mine})
+    kinds = [note.kind for note in rank_notes(report)]
+    assert kinds[:2] == ["first states"] * 2
+    assert "unrecorded" in kinds[2:]
+
+
 def test_the_least_recorded_policy_is_named_first():
     report = oee.report.contest(Problem(SIMULATOR, FEW), THREE)
     shares = {row["policy"]: row["unrecorded_share"] for row in report.comparison()}
@@ -131,6 +147,28 @@ def test_trials_that_contradict_the_log_leave_no_value_in_the_answer():
     assert report.brief.startswith("The trials of “policy” and the log contradict each")
     assert "Until then all that can be said of “policy” is the range" in report.brief
     assert "is worth about" not in report.brief
+
+
+@pytest.mark.parametrize(
+    ("coverage", "said"),
+    [(0.0, ", which covers 0.0%"), (0.4, ", which covers 40.0%"), (0.5, ""), (1.0, "")],
+)
+def test_a_value_of_a_log_that_covers_little_says_how_much(coverage, said):
+    row = {"status": "ok", "estimator": "oee", "coverage": coverage}
+    assert write_basis(row) == f"the simulator, corrected by the log{said}"
+    assert write_basis(row | {"estimator": "mine"}) == ""
+    assert write_basis(row | {"status": "the sensor was off"}) != write_basis(row)
+
+
+def test_a_contest_of_simulated_values_shows_them_once():
+    """A column of what the simulator says beside them would be the same numbers."""
+    problem = Problem(SIMULATOR, LOG)
+    one, several = (
+        render_comparison(oee.evaluate(problem, THREE, **options), verbose=False)
+        for options in ({"estimators": ["simulator"]}, {})
+    )
+    assert "simulator says" in several
+    assert "simulator says" not in one
 
 
 def test_a_table_without_the_default_row_has_a_row_for_each_estimator():

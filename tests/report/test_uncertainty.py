@@ -20,7 +20,11 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import uncertainty
-from oee_tabular.report.text import format_interval, format_value
+from oee_tabular.report.text import (
+    distance_from_simulator,
+    format_interval,
+    format_value,
+)
 
 SIMULATOR = oee.tasks.gridworld(4, 0.3, discount=0.9)
 TARGET = oee.tasks.gridworld(4, 0.1, discount=0.9)
@@ -358,6 +362,9 @@ def test_much_data_of_another_environment():
     assert sure.startswith(
         "mine: The interval that is guaranteed at any sample size is −"
     )
+    # all of the correction comes from pairs that reject the simulator by themselves
+    whole = found.results[0].estimate.model_value - oee.policy_value(SIMULATOR, MINE)
+    assert distance_from_simulator(whole, whole, 0.0, 0.0) in sure
     assert f"{sure} {advice}" in " ".join(found.to_text(verbose=True).split())
     told = json.loads(found.to_json())
     assert told["conclusion"] == list(found.uncertainty.sentences)
