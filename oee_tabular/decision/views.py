@@ -6,6 +6,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _checks, _printing
+from oee_tabular.decision.candidates import (
+    CORRECTED,
+    LOG,
+    RECORDED,
+    SIMULATOR,
+    recorded_name,
+)
 from oee_tabular.report import plain
 
 if TYPE_CHECKING:
@@ -98,7 +105,8 @@ def list_rows(found: Improvement) -> list[list[str]]:
 def write_notes(found: Improvement) -> list[str]:
     """Write what the numbers are, and what they assume."""
     notes = [
-        f"gain: value less that of the running policy; {_printing.SUM}",
+        *_explain_names(found),
+        f"gain: value minus that of the running policy; {_printing.SUM}",
         (
             "lower end: the least gain of all models that the log does not reject;"
             f" {_write_assumption(found)}"
@@ -111,8 +119,8 @@ def write_notes(found: Improvement) -> list[str]:
         )
     if any(each.optimism > 0.0 for each in found.candidates):
         notes.append(
-            "lower ends of policies that this log made are lowered by how much better"
-            " those of its halves look in the half that made them"
+            "a policy that was made from this log looks too good on it: its lower end is"
+            " lowered by what halves of the log say too much of the policies they make"
         )
     if found.split is not None:
         notes.append(
@@ -122,10 +130,34 @@ def write_notes(found: Improvement) -> list[str]:
     return notes
 
 
+def _explain_names(found: Improvement) -> list[str]:
+    """Write how the package made the candidates that are its own."""
+    names = {each.name for each in found.candidates}
+    told = []
+    if CORRECTED in names:
+        told.append(
+            f"{CORRECTED}: the best policy in the simulator corrected by the log"
+        )
+    kept = [least for least in RECORDED if recorded_name(least) in names]
+    if kept:
+        times = f"{kept[-1]} time{'s' if kept[-1] > 1 else ''}"
+        told.append(
+            f"recorded {kept[-1]}+: the best there that departs from the running policy"
+            f" only in pairs recorded at least {times}"
+        )
+    if SIMULATOR in names:
+        told.append(f"{SIMULATOR}: the best policy in the simulator as it is")
+    if LOG in names:
+        told.append(f"{LOG}: the best policy in the log's frequencies")
+    return ["; ".join(told)] if told else []
+
+
 def _write_assumption(found: Improvement) -> str:
     """Write what pairs that were never recorded may do."""
     if math.isinf(found.unrecorded):
-        return "pairs that were never recorded may do anything that is allowed"
+        return (
+            "pairs that were never recorded may do anything that the simulator allows"
+        )
     if found.unrecorded == 1.0:
         return "pairs that were never recorded behave as estimated"
     return (

@@ -151,7 +151,7 @@ def from_diagnostics(
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
             text = (
                 f"the effective sample size is {{}} of {n} {noun}. The value is mostly"
-                " chance and its standard error is too small."
+                " chance; its standard error is too small and its interval too narrow."
             )
             findings.append(Finding(FEW_WEIGHTED, -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:

@@ -20,8 +20,8 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": (
         "value ± normal quantile × standard error, widened by what state-action pairs"
         " that were never recorded can change if they differ from the estimate by at"
-        " most a factor (unrecorded=, --unrecorded). With the factor inf: every value"
-        " that the log does not reject."
+        " most a factor (three by default; unrecorded=, --unrecorded). With the factor"
+        " inf: every value that the log does not reject."
     ),
     "likelihood with trials": (
         "every value that log and trials together do not reject. Log and trials are one"
@@ -411,8 +411,8 @@ def test_of_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} Many small differences add up to that z: none of the {pairs}"
-            " differs surely when tested alone."
+            f"{whole} None of the {pairs} has enough transitions to show it when tested"
+            " alone."
         )
     if rejected == tested:
         return f"{whole} Each of the {pairs} differs surely when tested alone."
@@ -529,12 +529,12 @@ def both_sources(
     number: float,
     confidence: float,
 ) -> str:
-    """Say what the trials say alone, and what the log says alone."""
+    """Say what the trials say alone, and what simulator and log say without them."""
     level = format_level(confidence)
     return (
         f"The {count_trials(number)} alone say {format_value(mean, *trials)} ({level}"
-        f" interval: {format_interval(*trials)}), the log alone says"
-        f" {format_within(log, trials)}."
+        f" interval: {format_interval(*trials)}); the simulator, corrected by the log,"
+        f" says {format_within(log, trials)}."
     )
 
 

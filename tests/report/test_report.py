@@ -518,9 +518,9 @@ def test_what_a_policy_is_worth(changes, sentence):
             (
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are even more frequent in the target (z = 24.5 standard"
-                " deviations, over all recorded transitions together). Many small"
-                " differences add up to that z: none of the 1,200 recorded state-action"
-                " pairs differs surely when tested alone."
+                " deviations, over all recorded transitions together). None of the"
+                " 1,200 recorded state-action pairs has enough transitions to show it"
+                " when tested alone."
             ),
         ),
         (
