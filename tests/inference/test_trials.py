@@ -303,7 +303,7 @@ def test_a_report_states_both_first():
     for name in before:
         assert rows[name]["value"] == before[name]["value"]
         assert rows[name]["lower"] == before[name]["lower"]
-    words = report.to_text(verbose=True)
+    words = " ".join(report.to_text(verbose=True).split())
     assert "The 12 trials alone say 0.75" in words
     assert "To halve the interval takes about" in words
     assert "Trials: 9 of 12 succeeded" in words
