@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
@@ -516,7 +517,8 @@ def join_trials(
             lower_ratio=lower_ratio,
             upper_ratio=upper_ratio,
             unrecorded=unrecorded,
-            seconds=None if limit is None else limit / CALLS_WITH_TRIALS,
+            # 0 would leave the search out, and a tiny limit must not become it
+            seconds=limit and max(limit / CALLS_WITH_TRIALS, sys.float_info.min),
         )
 
     return join(problem, pi, name, level, find)

@@ -224,7 +224,8 @@ class JoinedTrials:
         Whether this test rejects at 1%. The interval then reaches over the joined one,
         the log's and the trials'.
     worth : float
-        The number of trials alone whose interval would be as narrow.
+        The number of trials alone whose interval would be as narrow: inf where the
+        joined interval is a point, nan where it has no ends.
     more_trials : float or None
         The number of further trials that halve the joined interval, by the bound; None
         without a standard error.
@@ -630,8 +631,10 @@ def _describe(
         more_transitions = 3.0 * float(problem.counts.sum()) * of_log / least
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     worth = math.nan
-    if joined.status == "ok" and joined.width > 0.0:
-        worth = variance * (2.0 * z / joined.width) ** 2
+    if joined.status == "ok":
+        worth = math.inf
+        if joined.width > 0.0:
+            worth = variance * (2.0 * z / joined.width) ** 2
     return JoinedTrials(
         value,
         both,

@@ -1,6 +1,7 @@
 """Log and trials in one likelihood: limits, enumeration, contradiction, and words."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -288,6 +289,32 @@ def test_what_cannot_be_joined_is_refused(options):
     problem, policy, _ = lake()
     with pytest.raises(ArgumentError, match=r"with trials.*problem.without_trials"):
         oee.interval(problem, policy, **options)
+
+
+@pytest.mark.parametrize("seconds", [5e-324, 1e-320, 1e-12])
+def test_a_tiny_limit_in_time_leaves_nothing_out(seconds):
+    problem, policy, _ = lake()
+    joined = join_trials(problem, policy, seconds=seconds)
+    for interval in (joined.interval, joined.log):
+        assert np.isfinite(
+            [interval.lower, interval.upper, *interval.sampling, *interval.worst_case]
+        ).all()
+
+
+def test_a_point_is_worth_any_number_of_trials():
+    """A simulator without chance knows the value; its report says so without a number."""
+    sure = success_simulator(oee.tasks.gridworld(3, 0.0).with_initial(0), 8)
+    policy = oee.tasks.gridworld_expert(3)
+    log = oee.sample_episodes(sure, policy, 3, 6, seed=0)
+    problem = oee.Problem(
+        sure, log, horizon=6, trials=oee.Trials.from_successes(12, 12)
+    )
+    joined = join_trials(problem, policy)
+    assert joined.interval.width == 0.0
+    assert joined.worth == math.inf
+    report = oee.evaluate(problem, policy, seed=0)
+    assert "trials alone would" not in report.to_text(verbose=True)
+    json.loads(report.to_json(), parse_constant=pytest.fail)
 
 
 def test_a_report_states_both_first():

@@ -79,6 +79,23 @@ def row(found, estimator="mine"):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "column"),
+    [
+        ("league", "estimator"),
+        *(
+            ("cells", column)
+            for column in ("estimator", "families", "ratio", "over_eff")
+        ),
+    ],
+)
+def test_frames_without_what_is_computed_of_them_are_refused(name, column):
+    found = league(rows("a", 1, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}))
+    frame = getattr(found, name).drop(columns=column)
+    with pytest.raises(ValueError, match=f"{name} must have a column {column}; it has"):
+        replace(found, **{name: frame})
+
+
 def test_ratios_geometric_mean_and_worst_by_hand():
     found = league(
         rows("a", 1, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}),

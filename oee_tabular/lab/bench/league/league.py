@@ -28,6 +28,9 @@ from oee_tabular.lab.bench.league.texts import (
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.typing import Array
 
+# of ``cells``, beside the estimator: what errors, scores and pictures are made of
+CELL_COLUMNS = ("families", "family", "size", "rmse", "ratio", "over_eff")
+
 
 @checked()
 @dataclass(frozen=True, eq=False)
@@ -70,13 +73,19 @@ class League:
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse a league without estimators, and labels that cannot be shown."""
-        if "estimator" not in self.league:
-            raise ArgumentError(
-                "league",
-                "must have a column estimator; it has"
-                f" {', '.join(map(str, self.league.columns)) or 'none'}",
-            )
+        """Refuse frames without what is computed of them, and labels that cannot be shown."""
+        needed = {
+            "league": (self.league, ("estimator",)),
+            "cells": (self.cells, ("estimator", *CELL_COLUMNS)),
+        }
+        for name, (frame, columns) in needed.items():
+            missing = [column for column in columns if column not in frame]
+            if missing:
+                raise ArgumentError(
+                    name,
+                    f"must have a column {missing[0]}; it has"
+                    f" {', '.join(map(str, frame.columns)) or 'none'}",
+                )
         check_labels(self.labels, list(self.league["estimator"].unique()))
 
     def __repr__(self) -> str:
