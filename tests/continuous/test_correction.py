@@ -218,6 +218,29 @@ def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
     assert_allclose(effect.part, 1.0, atol=0.03)
 
 
+def test_history_is_no_larger_for_what_the_state_explains():
+    """A large residual that the state explains is not counted as history's."""
+    log = line_log(Line(noise=0.1), 4000)
+    last = earlier_rows(log, 1)[:, 0]
+    of_history = np.where(last >= 0, 0.2 * (2.0 * log.action[last] - 1.0), 0.0)
+    every = np.ones(4000, dtype=np.bool_)
+    parts = []
+    for of_state in (0.0, 2.0):
+        effect = history_effects(
+            Line(),
+            log,
+            log.action,
+            (of_state * np.sin(log.state[:, 0]) + of_history)[:, None],
+            log.episode % 40,
+            is_smooth=every,
+            is_free=every,
+            least=np.zeros(1),
+        )[0]
+        assert (effect.lag, effect.of) == (1, "action")
+        parts.append(effect.part)
+    assert_allclose(parts, 0.2, atol=0.03)
+
+
 def test_rows_that_do_not_count_are_no_neighbours():
     """The state explains all of a residual, also where most episodes are left out."""
     log = line_log(Line(noise=0.1), 4000)

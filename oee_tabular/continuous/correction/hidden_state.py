@@ -51,14 +51,14 @@ class HistoryEffect:
     Attributes
     ----------
     r_squared : float
-        The share of its mean square that all of the last five explain, on episodes to
-        which the regression was not fitted.
+        The share that all of the last five explain of the mean square that the present
+        state and action leave, on episodes to which the regression was not fitted.
     lag : int
         How many steps back the action or residual lies that alone explains most.
     of : {'action', 'residual'}
         Which of the two it is.
     lag_r_squared : float
-        The share of the mean square that it explains.
+        The share of this mean square that it explains alone.
     part : float
         The root mean square of what they explain, in the coordinate's unit. Rows far
         from the others count with at most ``MAX_CLIPPED`` root mean squares.
@@ -112,8 +112,7 @@ def history_effects(
         )
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
         present = np.column_stack([codes[used], near])
-        size = unit * np.sqrt((y[used] ** 2).mean(axis=0))
-        found = _explain(present, blocks, y[used], group[used] % FOLDS, size, least)
+        found = _explain(present, blocks, y[used], group[used] % FOLDS, unit, least)
         best = _take_larger(best, found)
     return best
 
@@ -183,12 +182,12 @@ def _explain(
     blocks: dict[Block, Array],
     target: Array,
     fold: IntArray,
-    size: Array,
+    unit: Array,
     least: Array,
 ) -> list[HistoryEffect]:
     """Return what the blocks of history explain of each target (n, k).
 
-    ``present`` are the inputs without history; ``size`` (k,) is the targets' unit, and
+    ``present`` are the inputs without history; ``unit`` (k,) is the targets' unit, and
     effects that are unsure, or of at most ``least`` (k,), are none.
     """
     plain = _errors_held_out([present], target, fold)
@@ -204,13 +203,16 @@ def _explain(
     whole = gained.sum(axis=0) / total
     n_deviations = MIN_STANDARD_ERRORS * len(target) ** 0.5
     is_sure = gained.sum(axis=0) > n_deviations * gained.std(axis=0)
-    is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
+    # of the squares that history takes away, not of all: the present may explain most
+    parts = unit * np.sqrt(np.maximum(gained.mean(axis=0), 0.0))
+    is_large = parts > least
     effects = [HistoryEffect()] * len(whole)
     for number in np.flatnonzero(is_sure & is_large & (whole > 0)):
         k = int(number)
         (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
-        part = float(whole[k] ** 0.5 * size[k])
-        effects[k] = HistoryEffect(float(whole[k]), lag, kind, float(share[k]), part)
+        effects[k] = HistoryEffect(
+            float(whole[k]), lag, kind, float(share[k]), float(parts[k])
+        )
     return effects
 
 
