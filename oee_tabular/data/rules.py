@@ -338,7 +338,8 @@ def check_table(
 ) -> dict[str, Column]:
     """Return the values of a table's columns; names and episodes may be texts.
 
-    Episodes are to be settled (``settle_episodes``). Raises an ArgumentError for the first fault.
+    Episodes are to be settled (``settle_episodes``). Raises an ArgumentError for the
+    first fault.
 
     Parameters
     ----------

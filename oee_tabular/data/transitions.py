@@ -245,8 +245,9 @@ class Transitions(LogColumns):
         frame : FrameLike
             The frame, one transition a row, of any library that narwhals reads. Levels
             of its index that have names are columns; those that a log does not have
-            are left out with a warning. Labels of other projects that mean one thing, such as
-            ``obs``, are read with a warning, and refused where they may mean two things, as ``done``.
+            are left out with a warning. Labels of other projects that mean one thing,
+            such as ``obs``, are read with a warning, and refused where they may mean
+            two things, as ``done``.
         simulator : FiniteMDP, optional
             The model to whose names those of states and actions are matched at once.
             None means that the log keeps the names (``numbered``).

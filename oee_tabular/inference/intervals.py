@@ -337,9 +337,9 @@ def interval(
     Delta_k is by how much J(Q) falls (rises) in the worst (best) model whose unrecorded
     pairs are within the factor k of the estimated rows Q = zeta P, by robust policy
     evaluation, which is certified. No end goes beyond both ``sampling`` and
-    ``worst_case``, or beyond what the rewards can sum to. So the interval holds the value, and a larger factor below ``inf``
-    never gives a shorter one. The ends at ``inf`` are around the value by
-    maximum likelihood, so one of them can lie inside.
+    ``worst_case``, or beyond what the rewards can sum to. So the interval holds the
+    value, and a larger factor below ``inf`` never gives a shorter one. The ends at
+    ``inf`` are around the value by maximum likelihood, so one of them can lie inside.
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
     far models in the set may lie beyond its ends, 0 at convergence.

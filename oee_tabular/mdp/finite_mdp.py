@@ -534,10 +534,11 @@ class FiniteMDP:
         Notes
         -----
         P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), b among the
-        actions that can be taken in s, and the rewards are those of the action that was carried out: r_eps(s, a, s') = E[r(s,
-        b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards do not
-        depend on s'. A state's value under (P_eps, policy) is its value under (P, (1 -
-        eps) policy + eps uniform).
+        actions that can be taken in s. The rewards are those of the action that was
+        carried out: r_eps(s, a, s') = E[r(s, b, s') | s, a, s'], or
+        r_eps(s, a) = E[r(s, b) | s, a] where rewards do not depend on s'. A state's
+        value under (P_eps, policy) is its value under
+        (P, (1 - eps) policy + eps uniform).
         """
         return self._replace(**add_action_noise(self, epsilon))
 
@@ -873,10 +874,10 @@ class FiniteMDP:
         Notes
         -----
         P(s' | s, a) = n(s, a, s') / n(s, a). An action that can be taken in a state but
-        was never recorded there gets the mean distribution of those recorded there, weighted by their counts; a state
-        without recorded actions is absorbing with reward 0. A warning says how many
-        such pairs there are. States in which transitions terminated are terminal, as in
-        ``from_gymnasium``.
+        was never recorded there gets the mean distribution of those recorded there,
+        weighted by their counts; a state without recorded actions is absorbing with
+        reward 0. A warning says how many such pairs there are. States in which
+        transitions terminated are terminal, as in ``from_gymnasium``.
 
         Examples
         --------
