@@ -52,6 +52,10 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     ),
     "the estimator's own": "as the estimator gives it.",
     "standard error": "value ± quantile × standard error (sampling noise).",
+    "rollouts": (
+        "value ± quantile × standard error, the Monte Carlo error of the rollouts and"
+        " of nothing else."
+    ),
     "guaranteed": (
         "it covers with at least this confidence for any number of transitions. It is"
         " the widest."
