@@ -712,7 +712,7 @@ def _describe_trials(both: JoinedTrials, level: float, scale: float) -> str:
     tried = (scale * both.trials[0], scale * both.trials[1])
     sentences = [text.both_sources(scale * both.mean, tried, own, both.number, level)]
     if math.isfinite(both.worth) and not both.is_contradicted:
-        sentences.append(text.worth_of_both(both.number, both.worth))
+        sentences.append(text.worth_of_both(both.worth))
     if both.more_trials is not None and both.more_transitions is not None:
         sentences.append(text.halve_interval(both.more_trials, both.more_transitions))
     return " ".join(sentences)
