@@ -110,6 +110,16 @@ def share(part: float) -> str:
     return "< 0.1%" if text == "0.0%" and part > 1e-12 else text
 
 
+def probability(p: float) -> str:
+    """Write an estimated probability in percent; none reads as certain.
+
+    >>> probability(1.0), probability(0.9996), probability(0.421), probability(0.0)
+    ('> 99.9%', '> 99.9%', '42.1%', '< 0.1%')
+    """
+    text = f"{p:.1%}"
+    return {"100.0%": "> 99.9%", "0.0%": "< 0.1%"}.get(text, text)
+
+
 def interval(lower: float, upper: float, *, exact: bool = False) -> str:
     """Write [lower, upper] in the format of ``spec``."""
     form = spec(lower, upper, exact=exact)

@@ -205,16 +205,16 @@ def truncation(
     """
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
-    reach = (
-        f"by up to {bound:.3g} (not normalised)"
-        if bound < math.inf
-        else "without bound at discount 1"
-    )
+    change = "the value without bound at discount 1"
+    figure = ""
+    if bound < math.inf:
+        change = "the discounted sum of rewards by up to {}"
+        figure = f"{bound:.3g}"
     text = (
         f"{number} of {episodes} episodes were truncated. The missing rewards can"
-        " change the value {}."
+        f" change {change}."
     )
-    return (Finding("truncation", bound, text, reach),)
+    return (Finding("truncation", bound, text, figure),)
 
 
 def foreign_starts(share: float) -> Findings:

@@ -340,7 +340,7 @@ class Comparison:
                     name,
                     format(self.values[i], _printing.spec(*around)),
                     f"{self.standard_errors[i]:.2g}",
-                    "-" if probability is None else f"{probability:.1%}",
+                    "-" if probability is None else _printing.probability(probability),
                     difference,
                 ]
             )
@@ -481,8 +481,8 @@ def compare_policies(
     ... )
     >>> print(comparison)
     policy         value  std. error  P(best)  difference from the best
-    new            10.18        0.16   100.0%
-    recorded        6.92        0.12     0.0%  -3.26 [-3.38, -3.13]
+    new            10.18        0.16  > 99.9%
+    recorded        6.92        0.12   < 0.1%  -3.26 [-3.38, -3.13]
     values: discounted sum of rewards, not normalised; intervals at 95%
     """
     return compare_estimates(

@@ -76,6 +76,8 @@ GRID_STEP = 0.01  # standard deviations between the points that are searched
 SAME_POLICY = 1e-9  # of a probability: policies that differ by less are the same
 # of the squared mean: a smaller variance is rounding
 VARIANCE_TOLERANCE = 1e-20
+SMALLEST_WIDTH = 5e-324  # the least positive float
+MAX_LOG_TRIALS = 300.0  # natural logarithm of more trials than any interval is worth
 
 
 class Outcomes(NamedTuple):
@@ -224,8 +226,9 @@ class JoinedTrials:
         Whether this test rejects at 1%. The interval then reaches over the joined one,
         the log's and the trials'.
     worth : float
-        The number of trials alone whose interval would be as narrow: inf where the
-        joined interval is a point, nan where it has no ends.
+        The number of trials alone whose own interval, Wilson's or Student's as in
+        ``trials``, would be as narrow: inf where the joined interval is a point, nan
+        where it has no ends.
     more_trials : float or None
         The number of further trials that halve the joined interval, by the bound; None
         without a standard error.
@@ -526,6 +529,14 @@ def find_trials(problem: Problem, policy: Array, name: str | None) -> Trials | N
     return trials.of(trials.names[0])
 
 
+def trials_by_policy(
+    problem: Problem, policies: Mapping[str, Array]
+) -> dict[str, Trials]:
+    """Return the trials of each policy that was tried, by the policy's name."""
+    found = {name: find_trials(problem, pi, name) for name, pi in policies.items()}
+    return {name: trials for name, trials in found.items() if trials is not None}
+
+
 def require_tried(problem: Problem, policies: Mapping[str, Array]) -> None:
     """Refuse trials of a policy that is not among those that are evaluated."""
     trials = problem.trials
@@ -629,12 +640,9 @@ def _describe(
         both = math.sqrt(least)
         more_trials = 3.0 * variance / least
         more_transitions = 3.0 * float(problem.counts.sum()) * of_log / least
-    z = NormalDist().inv_cdf(0.5 + level / 2.0)
     worth = math.nan
     if joined.status == "ok":
-        worth = math.inf
-        if joined.width > 0.0:
-            worth = variance * (2.0 * z / joined.width) ** 2
+        worth = _count_as_narrow(outcomes, value, joined.width, level)
     return JoinedTrials(
         value,
         both,
@@ -650,6 +658,39 @@ def _describe(
         more_trials,
         more_transitions,
     )
+
+
+def _count_as_narrow(
+    outcomes: Outcomes, value: float, width: float, level: float
+) -> float:
+    """Return the number of trials alone whose interval around a value has a width.
+
+    The interval is that of ``Outcomes.ends``, so that the number fits the row of the
+    trials. It is inf for a width of 0.
+    """
+    if not width > 0.0:
+        return math.inf
+    mean = min(max(value, 0.0), 1.0) if outcomes.is_success else value
+    least = 1.0 if math.isfinite(outcomes.freedom) else 0.0
+
+    def excess(log_number: float) -> float:
+        """Return how much wider the interval is, from the logarithm of the number."""
+        further = math.exp(log_number)
+        freedom = further if least else outcomes.freedom
+        found = outcomes._replace(number=least + further, mean=mean, freedom=freedom)
+        lower, upper = found.ends(level)
+        # two ends that rounding makes one are narrower than any width
+        return math.log(max(upper - lower, SMALLEST_WIDTH)) - math.log(width)
+
+    # so many trials that the interval is wider, or as many as there is a number for
+    low, high = -20.0, 20.0
+    if excess(low) <= 0.0:
+        return least
+    while excess(high) > 0.0:
+        high += 20.0
+        if high > MAX_LOG_TRIALS:
+            return math.inf
+    return least + math.exp(brentq(excess, low, high, xtol=1e-10))
 
 
 def _weigh(value: float, error: float, outcomes: Outcomes) -> float:

@@ -206,7 +206,7 @@ def write_difference(row: Row) -> str:
 def write_p_best(row: Row) -> str:
     """Write the probability that a policy is best; a dash where the log cannot say."""
     probability = row["probability_best"]
-    return "-" if probability is None else f"{probability:.1%}"
+    return "-" if probability is None else _printing.probability(probability)
 
 
 def number_cell(key: str, form: Callable[[float], str]) -> Callable[[Row], str]:

@@ -18,6 +18,7 @@ from oee_tabular.estimators.findings import MAX_UNREAD_SHARE
 from oee_tabular.estimators.rewards import reward_effect
 from oee_tabular.inference import Interval
 from oee_tabular.inference.trials import METHOD as JOINED
+from oee_tabular.inference.trials import trials_by_policy
 from oee_tabular.report import text
 from oee_tabular.report.files import plain
 from oee_tabular.report.notes import Note, rank_notes
@@ -95,6 +96,8 @@ class Content:
         What simulator, log and rewards are.
     sizes : (int, int) or None
         The numbers of transitions and of states; None for a continuous task.
+    tried : dict of str to int
+        The number of trials of each policy that was tried.
     """
 
     brief: str
@@ -114,13 +117,17 @@ class Content:
     about_rows: frozenset[int]
     facts: Mapping[str, Any]
     sizes: tuple[int, int] | None
+    tried: Mapping[str, int]
 
 
 def gather_content(report: Report) -> Content:
     """Gather what a report says, once for all its forms."""
     problem = report.problem
     sizes = None
+    tried = {}
     if problem is not None:
+        by_policy = trials_by_policy(problem, report.policies)
+        tried = {name: len(trials) for name, trials in by_policy.items()}
         transitions = round(float(problem.counts.sum()))
         sizes = (transitions, problem.simulator.n_states)
     shown = report.rows()
@@ -143,6 +150,7 @@ def gather_content(report: Report) -> Content:
         about_rows=frozenset(numbers),
         facts=report.facts,
         sizes=sizes,
+        tried=tried,
     )
 
 

@@ -45,6 +45,7 @@ from oee_tabular.inference.trials import (
     find_trials,
     read_outcomes,
     require_tried,
+    trials_by_policy,
 )
 from oee_tabular.mdp import FiniteMDP, check_policies, require_same_available
 from oee_tabular.report import text
@@ -431,7 +432,7 @@ def _check_request(
         chosen,
         tuple(left_out),
         truth,
-        _describe_premises(problem, known) | dict(facts or {}),
+        _describe_premises(problem, named, known) | dict(facts or {}),
         seed,
         normalized,
         seconds,
@@ -455,15 +456,20 @@ def _estimate(request: _Request) -> _Rows:
         return _Rows(tuple(results), (*request.left_out, *reasons), hidden)
 
 
-def _describe_premises(problem: Problem, known: Premises) -> dict[str, Any]:
-    """Return the facts of a report: simulator, log, rewards and what is known."""
+def _describe_premises(
+    problem: Problem, policies: Mapping[str, Array], known: Premises
+) -> dict[str, Any]:
+    """Return the facts of a report: simulator, log, trials, rewards, what is known."""
     about: dict[str, Any] = {
         "simulator": repr(problem.simulator),
         "log": problem.log.describe(),
         "rewards": problem.rewards,
     }
     if problem.trials is not None:
-        about["trials"] = problem.trials.describe()
+        about["trials"] = "; ".join(
+            f"{trials.describe()} (“{name}”)"
+            for name, trials in trials_by_policy(problem, policies).items()
+        )
     if known.has_box:
         about["target"] = str(known)
     return about

@@ -87,6 +87,7 @@ def render(
         ),
         "legible": legible,
         "share": _printing.share,
+        "probability": _printing.probability,
         "count": text.count,
         "ranks": rank_rows,
     }

@@ -284,7 +284,7 @@ def provenance(content: Content) -> str:
         name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
         for name in (log, simulator)
     ]
-    return text.provenance(content.sizes, (names[0], names[1]))
+    return text.provenance(content.sizes, (names[0], names[1]), content.tried)
 
 
 # ---- lines

@@ -52,6 +52,10 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     ),
     "the estimator's own": "as the estimator gives it.",
     "standard error": "value ± quantile × standard error (sampling noise).",
+    "rollouts": (
+        "value ± quantile × standard error, the Monte Carlo error of the rollouts and"
+        " of nothing else."
+    ),
     "guaranteed": (
         "it covers with at least this confidence for any number of transitions. It is"
         " the widest."
@@ -538,11 +542,11 @@ def both_sources(
     )
 
 
-def worth_of_both(number: float, worth: float) -> str:
-    """Say how many trials alone would give as narrow an interval."""
+def worth_of_both(worth: float) -> str:
+    """Say how many trials alone would give as narrow an interval, and of which kind."""
     return (
         f"Together they are worth about {round_up(worth)} trials: as many alone would"
-        " have as narrow an interval."
+        " have as narrow an interval, computed as in the row “trials”."
     )
 
 
@@ -637,11 +641,13 @@ def left_out(notes: int, rows: int, hidden: int) -> str:
 def provenance(
     counts: tuple[int, int] | None,
     names: tuple[str | None, str | None],
+    trials: Mapping[str, int] | None = None,
 ) -> str:
-    """Say what log and simulator a value was made from; "" where nothing is known.
+    """Say what a value was made from; "" where nothing is known.
 
     ``counts`` are the numbers of transitions and of states, ``names`` are those of the
-    log and of the simulator, where they are known.
+    log and of the simulator, where they are known. ``trials`` are the numbers of trials
+    by policy.
     """
     sizes: tuple[str | None, str | None] = (None, None)
     if counts is not None:
@@ -652,6 +658,19 @@ def provenance(
         about = ", ".join(filter(None, (name, size)))
         if about:
             parts.append(f"{what} ({about})")
+    if trials:
+        parts.append(tried(trials))
     if not parts:
         return ""
-    return f"Made from {' and '.join(parts)}."
+    *first, last = parts
+    listed = f"{', '.join(first)} and {last}" if first else last
+    return f"Made from {listed}."
+
+
+def tried(trials: Mapping[str, int]) -> str:
+    """Say how many trials there are, and of which policies."""
+    total = count(sum(trials.values()), "trial")
+    if len(trials) == 1:
+        return f"{total} of “{next(iter(trials))}”"
+    each = ", ".join(f"{number:,} of “{name}”" for name, number in trials.items())
+    return f"{total} ({each})"

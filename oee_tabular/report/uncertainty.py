@@ -63,6 +63,7 @@ GUARANTEED: Final = "robust"
 WITH_TRIALS = "with trials"
 # what ``diagnostics["interval_method"]`` calls the intervals that are set here
 NOISE = "standard error"
+ROLLOUTS = "rollouts"  # the same, where a standard error is that of rollouts
 OWN = "the estimator's own"
 OWN_LEVEL = 0.95  # the confidence of the intervals that estimators set themselves
 
@@ -519,8 +520,10 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
             estimate, standard_error=None, diagnostics=facts, findings=findings
         )
     ends = (value - quantile * error, value + quantile * error)
+    is_simulated = facts.get("standard_error_of") == ROLLOUTS
+    method = ROLLOUTS if is_simulated else NOISE
     return replace(
-        estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE}
+        estimate, interval=ends, diagnostics=facts | {"interval_method": method}
     )
 
 
@@ -709,7 +712,7 @@ def _describe_trials(both: JoinedTrials, level: float, scale: float) -> str:
     tried = (scale * both.trials[0], scale * both.trials[1])
     sentences = [text.both_sources(scale * both.mean, tried, own, both.number, level)]
     if math.isfinite(both.worth) and not both.is_contradicted:
-        sentences.append(text.worth_of_both(both.number, both.worth))
+        sentences.append(text.worth_of_both(both.worth))
     if both.more_trials is not None and both.more_transitions is not None:
         sentences.append(text.halve_interval(both.more_trials, both.more_transitions))
     return " ".join(sentences)

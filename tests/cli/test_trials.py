@@ -26,7 +26,7 @@ def test_successes_are_those_of_python(run, folder):
     assert both(told)["lower"] == pytest.approx(found.interval.lower)
     assert told["trials"][0]["more_trials"] == pytest.approx(found.more_trials)
     assert told["warnings"] == [] or "rewards" not in str(told["warnings"])
-    assert told["facts"]["trials"] == "9 of 12 succeeded"
+    assert told["facts"]["trials"] == "9 of 12 succeeded (“mine”)"
     by_number = json.loads(run(f"evaluate {DATA} --trials 9/12 --success 8 --json"))
     assert both(by_number) == both(told)
 

@@ -74,6 +74,11 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(run):
         "closure error",
     ):
         assert text in shown
+    assert (
+        "simulator (continuous), target (continuous) (rollouts): value ± quantile ×"
+        " standard error, the Monte Carlo error of the rollouts"
+        in " ".join(shown.split())
+    )
     report = run(words, "--json")
     rows = by_row(report)
     raw = rows["oee on the grid"]

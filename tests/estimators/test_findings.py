@@ -98,7 +98,7 @@ SILENT_UP_TO = {
         0.02,
         (
             "3 of 8 episodes were truncated. The "
-            "missing rewards can change the value by up to 0.02 (not normalised)."
+            "missing rewards can change the discounted sum of rewards by up to 0.02."
         ),
     ),
     "truncation beside an error": (

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import oee_tabular as oee
 from oee_tabular.data import success_simulator
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import join_trials
+from oee_tabular.inference import trials as joining
 
 HALF_CHI = stats.chi2.ppf(0.95, 1) / 2
 
@@ -299,6 +301,59 @@ def test_a_tiny_limit_in_time_leaves_nothing_out(seconds):
         assert np.isfinite(
             [interval.lower, interval.upper, *interval.sampling, *interval.worst_case]
         ).all()
+
+
+def test_the_trials_of_worth_have_as_wide_an_interval_as_their_row():
+    """Counted by Wilson's interval and by Student's, which the row “trials” has."""
+    problem, policy, _ = lake()
+    both = join_trials(problem, policy)
+    z = stats.norm.ppf(0.975)
+    m, p = both.worth, both.value
+    spread = p * (1 - p) / m + z**2 / (4 * m**2)
+    wilson = 2 * z * math.sqrt(spread) / (1 + z**2 / m)
+    assert wilson == pytest.approx(both.interval.width)
+    y = np.array([-1.0, -2.0, -1.2, -0.8])
+    simulator = oee.tasks.gridworld(3, 0.3)
+    log = oee.sample_transitions(simulator, np.full((9, 4), 1 / 36), 200, seed=0)
+    problem = oee.Problem(simulator, log, trials=oee.Trials(y))
+    both = join_trials(problem, oee.tasks.gridworld_expert(3))
+    half = stats.t.ppf(0.975, both.worth - 1) * y.std(ddof=1) / math.sqrt(both.worth)
+    assert 2 * half == pytest.approx(both.interval.width)
+
+
+@pytest.mark.parametrize("is_success", [True, False])
+@pytest.mark.parametrize("number", [3.0, 12.0, 1e6])
+def test_trials_alone_are_worth_their_own_number(number, is_success):
+    freedom = math.inf if is_success else number - 1.0
+    outcomes = joining.Outcomes(number, 0.7, 0.21, freedom, is_success)
+    lower, upper = outcomes.ends(0.9)
+    worth = joining._count_as_narrow(outcomes, 0.7, upper - lower, 0.9)
+    assert worth == pytest.approx(number)
+
+
+def test_few_trials_are_worth_an_interval_without_end():
+    """No number of successes has an interval wider than 1, nor 1 return any end."""
+    successes = joining.Outcomes(12.0, 0.7, 0.21, math.inf, True)
+    assert joining._count_as_narrow(successes, 0.7, 1.0, 0.95) == 0.0
+    assert joining._count_as_narrow(successes, 0.7, 1e-200, 0.95) > 1e20
+    assert joining._count_as_narrow(successes, 0.0, 1e-200, 0.95) == math.inf
+    returns = successes._replace(freedom=11.0, is_success=False)
+    assert joining._count_as_narrow(returns, 0.7, 1e9, 0.95) == pytest.approx(1, abs=1)
+
+
+def test_a_report_says_how_trials_are_counted_and_whose_they_are():
+    problem, policy, _ = lake()
+    report = oee.evaluate(problem, {"mine": policy}, seed=0)
+    shown = " ".join(str(report).split())
+    assert "as narrow an interval, computed as in the row “trials”." in shown
+    assert re.search(
+        r"Made from the log that was recorded in the target \([^)]+\), the simulator"
+        r" \([^)]+\) and 12 trials of “mine”\.",
+        shown,
+    )
+    told = "9 of 12 succeeded (“mine”)"
+    assert told in report.to_html()
+    assert json.loads(report.to_json())["facts"]["trials"] == told
 
 
 def test_a_point_is_worth_any_number_of_trials():

@@ -493,6 +493,31 @@ def test_covered_does_not_read_as_all_of_it():
     )
 
 
+def test_no_view_of_a_ranking_reads_as_certain_and_json_keeps_its_numbers():
+    pair = oee.testing.case("ragged")
+    policies = {"new": pair.policy, "recorded": pair.behavior}
+    problem = pair.problem(1000, seed=0)
+    report = oee.report.contest(problem, policies)
+    compared = oee.inference.compare_policies(problem, policies)
+    shown = (report.to_text(), report.to_text(verbose=True), str(compared))
+    for view in shown:
+        assert re.search(r"^new .* > 99\.9%", view, re.M)
+        assert re.search(r"^recorded .* < 0\.1%", view, re.M)
+    assert '<td class="num">&gt; 99.9%</td>' in report.to_html()
+    assert '<td class="num">&lt; 0.1%</td>' in report.to_html()
+    numbers = [row["probability_best"] for row in report.to_dict()["comparison"]]
+    assert sum(numbers) == pytest.approx(1.0)
+    assert numbers[0] > 0.9995
+
+
+def test_the_page_lists_every_note_that_a_row_has(html, report):
+    """Whatever the estimator of the row, under “Read before use”."""
+    listed = dict(re.findall(r'<li id="note(\d+)">(.*?)</li>', html, re.S))
+    cited = {str(k) for row in report.records() for k in row["notes"]}
+    assert cited <= listed.keys()
+    assert len(listed) == len(report.warnings)
+
+
 def test_the_page_holds_its_table_as_csv(report, html, tmp_path):
     link = next(link for link in Page(html).all("a") if link.get("download"))
     assert link["download"] == "table.csv"

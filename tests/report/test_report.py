@@ -18,7 +18,7 @@ import oee_tabular as oee
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED
 from oee_tabular.estimators.names import ALIASES, NAMED, EstimatorName
-from oee_tabular.report import text
+from oee_tabular.report import columns, text
 from oee_tabular.report.text import Answer
 
 SMALL = oee.tasks.gridworld(3, 0.3)
@@ -647,6 +647,17 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
+            text.provenance((9, 3), (None, None), {"a": 1}),
+            (
+                "Made from the log that was recorded in the target (9 transitions), the"
+                " simulator (3 states) and 1 trial of “a”."
+            ),
+        ),
+        (
+            text.provenance(None, (None, "b"), {"a": 1200, "c": 3}),
+            "Made from the simulator (b) and 1,203 trials (1,200 of “a”, 3 of “c”).",
+        ),
+        (
             text.contradiction("a", (0.02, 0.21), (0.9999955, 1.0000026), 1e-9, 0.01),
             (
                 "The trials of “a” and the log contradict each other (p < 0.0001, below"
@@ -659,6 +670,23 @@ def test_what_a_policy_is_worth(changes, sentence):
 )
 def test_sentences(made, sentence):
     assert made == sentence
+
+
+@pytest.mark.parametrize(
+    ("probability", "shown"),
+    [
+        (1.0, "> 99.9%"),
+        (0.9996, "> 99.9%"),
+        (0.9994, "99.9%"),
+        (0.421, "42.1%"),
+        (0.0006, "0.1%"),
+        (0.0004, "< 0.1%"),
+        (0.0, "< 0.1%"),
+        (None, "-"),
+    ],
+)
+def test_no_p_best_reads_as_certain(probability, shown):
+    assert columns.write_p_best({"probability_best": probability}) == shown
 
 
 def test_numbers():

@@ -19,11 +19,15 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
+from oee_tabular.estimators.findings import truncation
 from oee_tabular.report import uncertainty
+from oee_tabular.report.evaluation import group_findings
+from oee_tabular.report.rows import Result
 from oee_tabular.report.text import (
     distance_from_simulator,
     format_interval,
     format_value,
+    legend,
 )
 
 SIMULATOR = oee.tasks.gridworld(4, 0.3, discount=0.9)
@@ -220,7 +224,7 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
             "likelihood",
         )
     assert row_of(report, "tied")[0]["replaced_by"].startswith("the interval's ")
-    assert row_of(report, "product")[0]["interval_method"] == "standard error"
+    assert row_of(report, "product")[0]["interval_method"] == "rollouts"
     assert row_of(report, "quotient")[0]["lower"] is None
 
 
@@ -497,6 +501,35 @@ def test_a_box_that_the_log_contradicts():
         ValueError, match=r"must fit the log: .* contradict the box \[0.9, 1.05\]"
     ):
         sentences(even(20_000), lower_ratio=0.9, upper_ratio=1.05)
+
+
+def test_an_interval_of_rollouts_says_that_it_is_their_error():
+    found = uncertainty.choose_interval(
+        Estimate(2.0, 0.1, diagnostics={"standard_error_of": "rollouts"}), None, 0.95
+    )
+    assert found.diagnostics["interval_method"] == "rollouts"
+    told = legend("rollouts", ["simulator (continuous)"], 0.95)
+    assert "Monte Carlo error of the rollouts" in told
+    of_log = Estimate(2.0, 0.1, diagnostics={"standard_error_of": "log"})
+    found = uncertainty.choose_interval(of_log, None, 0.95)
+    assert found.diagnostics["interval_method"] == "standard error"
+
+
+def test_a_note_on_truncated_episodes_has_no_bracket_in_a_bracket():
+    """With the figures of several policies as well."""
+    results = [
+        Result(
+            name,
+            "pdis",
+            Estimate(1.0, 0.1, findings=truncation(7, 12, bound, 1.0, 0.1)),
+        )
+        for name, bound in (("a", 82.7), ("b", 9.0))
+    ]
+    ((sentence, _),) = group_findings(results)
+    assert sentence == (
+        "pdis (a, b): 7 of 12 episodes were truncated. The missing rewards can change"
+        " the discounted sum of rewards by up to 82.7 (a), 9 (b)."
+    )
 
 
 @pytest.mark.parametrize("names", [["oee"], ["simulator", "oee", "model-based"]])
