@@ -75,7 +75,8 @@ def read_policy_table(path: str, mdp: FiniteMDP) -> dict[Any, Any]:
         _require_once(wide, keys, name)
         table = wide.melt("state", var_name="action", value_name="probability")
         # an empty field of a table with a column for each action is no probability
-        table["probability"] = table["probability"].astype(object).fillna(0.0)
+        given = table["probability"].astype(object)
+        table["probability"] = given.where(given.notna(), 0.0)
     else:
         own = [columns.state, columns.action]
         if columns.probability is not None:
