@@ -410,7 +410,8 @@ class LogColumns:
         line is an error, and so is a second header. A missing reward is an empty field
         or a word as other programs write it: nan, NA, NULL, None, N/A. Flags are true,
         false, t, f, yes, no, y, n, 0 and 1. Episodes are as many as their texts: 7 and
-        007 are two.
+        007 are two. States and actions in numbers are read as numbers: 7 and 007 are
+        one.
 
         Of several files, the last episode of one and the first of the next are one
         where they have one id, the last row is neither terminated nor truncated, and

@@ -604,6 +604,11 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
             raise ArgumentError(
                 f"sample_{name}", "must be left out: a log has no such column"
             )
+    for name in MOVE if sample else ():
+        if name not in sample:
+            raise ArgumentError(
+                f"sample_{name}", "must be a column of the sample; it is missing"
+            )
     episodes = Transitions(**sample) if sample else None
     if episodes is not None and (episodes.state_names or episodes.action_names):
         raise ArgumentError("sample", "must be in numbers; it holds names")

@@ -344,6 +344,12 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
     """
     if isinstance(path, str | os.PathLike) or hasattr(path, "read"):
         given: Any = [path]
+    elif hasattr(path, "columns"):
+        raise ArgumentError(
+            "path",
+            f"must be the path of a file; it is a {type(path).__name__}, which"
+            " from_frame reads",
+        )
     else:
         given = list(_checks.collection(path, "path", "paths of files"))
         # asked before the files, of which a list may name a million

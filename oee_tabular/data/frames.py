@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import decimal
 import errno
 import importlib.util
 import itertools
@@ -31,6 +32,7 @@ from oee_tabular.data.rules import (
     MOVE,
     NO_NAMES,
     check_table,
+    is_missing,
     settle_episodes,
 )
 from oee_tabular.exceptions import ArgumentError, DataWarning
@@ -185,7 +187,10 @@ def _column_values(column: Any, place: str) -> Column:
     if values.dtype.kind in "UT":
         # names are objects: polars makes texts of one width of a column without gaps
         values = values.astype(object)
-    is_absent = column.is_null().to_numpy()
+    try:
+        is_absent = column.is_null().to_numpy()
+    except decimal.InvalidOperation:  # a signaling nan, which no library may compare
+        is_absent = np.array([is_missing(item) for item in values.tolist()])
     if not is_absent.any():
         return values
     if values.dtype.kind not in "biuf":

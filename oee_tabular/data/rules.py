@@ -87,6 +87,7 @@ MISSING_WORDS = frozenset(
 )
 
 
+MAX_INTEGER_TEXT = 300  # characters, below those of the largest float
 MUST_HAVE = "must have a value"
 DECIMAL_POINT = " (write a decimal point, not a comma)"
 NO_NAMES: Mapping[str, tuple[Name, ...] | None] = {}
@@ -262,16 +263,29 @@ def _for_each(function: Callable[[Any], Any], items: list[Any]) -> list[Any]:
 def _parse_number(item: Any) -> int | float:
     """Return the number that an item is or writes, or nan.
 
-    An int stays one, since a float does not hold all from 2**53 on.
+    An int stays one, since a float does not hold all from 2**53 on; one beyond all
+    floats is infinite.
     """
     item = item.item() if isinstance(item, np.generic) else item
     if isinstance(item, str):
         return _parse_text(item)
     if isinstance(item, decimal.Decimal | fractions.Fraction):
         is_integer = _is_finite(item) and item == int(item)
-        return int(item) if is_integer else _to_float(item)
-    is_number = isinstance(item, int | float) and not isinstance(item, bool)
-    return item if is_number else math.nan
+        return _within_floats(int(item)) if is_integer else _to_float(item)
+    if isinstance(item, bool):
+        return math.nan
+    if isinstance(item, int):
+        return _within_floats(item)
+    return item if isinstance(item, float) else math.nan
+
+
+def _within_floats(number: int) -> int | float:
+    """Return an integer, or an infinity where it is beyond all floats."""
+    try:
+        float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
+    return number
 
 
 def _is_finite(item: decimal.Decimal | fractions.Fraction) -> bool:
@@ -295,7 +309,10 @@ def _parse_text(text: str) -> int | float:
         return math.nan
     try:
         is_integer = text.strip().lstrip("+-").isdecimal()
-        return int(text) if is_integer else float(text)
+        # Python reads no int of more than some thousand digits, but any float
+        if is_integer and len(text) < MAX_INTEGER_TEXT:
+            return int(text)
+        return float(text)
     except ValueError:
         return math.nan
 
@@ -321,7 +338,13 @@ def check_array(value: object, label: str) -> Column:
         if label in ("state", "next_state"):
             names = " (names? state and next_state must both hold names, or numbers)"
         _checks.refuse_text(value, label, "hold integers", "int", names)
-        raise ArgumentError(label, f"must hold integers; it holds {array.dtype}")
+        if not array.dtype.hasobject:
+            raise ArgumentError(label, f"must hold integers; it holds {array.dtype}")
+        for k, item in enumerate(array.tolist()):
+            if isinstance(item, str) or math.isnan(_parse_number(item)):
+                raise ArgumentError(
+                    f"{label}[{k}]", f"must be an integer; it is {_checks.show(item)}"
+                )
     values, fault = check_column(array, label)
     if fault is not None:
         raise fault.to_error(has_count=False)
@@ -491,8 +514,10 @@ def _check_episodes(raw: Column) -> tuple[Column, Fault | None]:
     items = raw.tolist()
     found = _for_each(parse_episode, items)
     bad = np.array([item is None for item in found], dtype=np.bool_)
-    rule = {"must be an integer": bad}
-    fault = find_fault("episode", raw, rule)
+    is_large = bad.copy()
+    is_large[bad] = [abs(_parse_number(items[k])) >= 2**63 for k in np.flatnonzero(bad)]
+    rules = {"must be in -2**63..2**63 - 1": is_large, "must be an integer": bad}
+    fault = find_fault("episode", raw, rules)
     if all(type(item) is int for item in found):
         return np.array(found, dtype=np.int64), fault
     return as_objects([0 if item is None else item for item in found]), fault
@@ -507,8 +532,8 @@ def parse_episode(item: Any) -> int | str | None:
         return None
     number = _parse_number(item)
     if not isinstance(item, str):
-        is_integer = number == number and number == math.floor(number)
-        is_id = is_integer and -(2**63) <= number < 2**63
+        # infinities and nan lie outside
+        is_id = -(2**63) <= number < 2**63 and number == math.floor(number)
         return int(number) if is_id else None
     text = item.strip()
     if isinstance(number, int) and -(2**63) <= number < 2**63 and str(number) == text:
@@ -549,6 +574,9 @@ def _check_integers(
     if numbers.dtype.kind == "f":
         numbers = numbers.astype(np.float64, copy=False)  # half precision ends at 65504
         odd = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+        if raw.dtype.hasobject:  # an integer beyond all floats is too large
+            for k in np.flatnonzero(np.isinf(numbers)):
+                odd[k] = isinstance(raw[k], str | float)
         is_rounded = ~odd & (np.abs(numbers) >= 2.0**53)
     is_low = numbers < low
     is_high = numbers >= high
@@ -581,7 +609,9 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     is_word = np.zeros(len(raw), dtype=np.bool_)
     if raw.dtype.hasobject:
         odd = np.flatnonzero(~is_good)
-        is_word[odd] = [_is_no_number(item) for item in raw[odd].tolist()]
+        is_word[odd] = [
+            _is_no_number(item) or "_" in str(item) for item in raw[odd].tolist()
+        ]
     rules = {"must be a number": ~is_good & is_word, rule: ~is_good & ~is_word}
     return numbers, find_fault(label, raw, rules)
 

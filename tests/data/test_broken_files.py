@@ -538,4 +538,5 @@ def test_forged_arrays_of_every_kind_are_refused_in_a_sentence(tmp_path):
             except ValueError as error:
                 told = str(error)
                 assert "f.npz" in told, (name, label, wrong)
+                assert "__init__" not in told, (name, label, wrong)
             assert "\x1b" not in told
