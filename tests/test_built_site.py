@@ -45,6 +45,8 @@ KINDS = (
     "syllabus.html",
     "playground.html",
     "example_report.html",
+    "how_to.html",
+    "own_estimator.html",
     "00_will_my_policy_work.html",
     "04_why_products_explode.html",
     "api/mdp.html",
