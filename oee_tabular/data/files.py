@@ -318,7 +318,14 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
     if table.n_rows is not None:
         n_values = table.n_rows * len(table.known)
         _checks.require_memory(n_values, repr(file.path))
-    pieces = list(table.pieces)
+    pieces = []
+    n_values = 0
+    for piece in table.pieces:
+        pieces.append(piece)
+        # The pieces are put together and then checked. Libraries crash where memory is
+        # over, so it is asked for before the next one is read.
+        n_values += sum(column.size for column in piece.columns.values())
+        _checks.require_memory(2.0 * n_values, repr(file.path))
     for piece in pieces:
         for place, rule in piece.lost.values():
             raise ArgumentError(f"{file.path!r}: {place}", rule)

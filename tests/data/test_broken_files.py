@@ -540,3 +540,18 @@ def test_forged_arrays_of_every_kind_are_refused_in_a_sentence(tmp_path):
                 assert "f.npz" in told, (name, label, wrong)
                 assert "__init__" not in told, (name, label, wrong)
             assert "\x1b" not in told
+
+
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz"])
+def test_a_table_beyond_memory_is_refused_while_it_is_read(
+    tmp_path, monkeypatch, ending
+):
+    """Before the libraries that read it find no memory, which some do not survive."""
+    rows = np.arange(400_000) % 9
+    frame = pd.DataFrame({"state": rows, "action": 0 * rows, "next_state": rows})
+    path = tmp_path / f"log{ending}"
+    frame.to_csv(path, index=False)
+    assert len(oee.Transitions.load(path)) == len(rows)
+    monkeypatch.setattr(oee._checks, "free_memory", lambda: 4 * 2**20)
+    with pytest.raises(MemoryError, match=rf"log{ending}' needs .* are free"):
+        oee.Transitions.load(path)
