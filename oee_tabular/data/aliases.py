@@ -3,16 +3,18 @@
 ``ALIASES`` mean one thing, ``DOUBTS`` two or more, or one in another form. They are
 those of Gym, Gymnasium, Stable-Baselines3, RLlib, D4RL, d3rlpy, Minari, Tianshou,
 Spinning Up, TF-Agents, RLDS, LeRobot, robomimic, Acme, Open Bandit and SCOPE-RL, as
-``plain`` writes them.
+``plain`` writes them. Labels that an episode is over are known by their words as well.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 from oee_tabular.data.rules import MOVE, plain
 
+_T = TypeVar("_T")
 NUMBERED = re.compile(rf"({'|'.join(MOVE)})_(0|[1-9][0-9]{{0,8}})")
 
 # labels of other projects that mean one thing
@@ -62,11 +64,90 @@ ALIASES = {
         " logging_propensity propensity propensities propensity_score pscore"
     ),
 }
-FIELDS = {
-    alias: field
-    for field, aliases in ALIASES.items()
-    for alias in (field, *aliases.split())
+# words that say that an episode is over, and those that may stand beside them
+WORDS_OF_ENDS = {
+    "terminated": (
+        "terminal terminals terminate terminates terminated termination terminations"
+    ),
+    "truncated": "trunc truncs truncate truncates truncated truncation truncations",
+    "either": "done dones end ends ended finished final over",
+    "opposite": "not non",
+    "flag": "flag flags is has was",
+    "other": (
+        "state episode ep trajectory traj rollout game task env environment of the or"
+        " and next"
+    ),
 }
+KIND_OF_WORD = {
+    word: kind for kind, words in WORDS_OF_ENDS.items() for word in words.split()
+}
+
+
+class _Labels(Mapping[str, _T]):
+    """Map labels to what they mean: the listed ones, and others by a rule."""
+
+    def __init__(self, listed: dict[str, _T], rule: Callable[[str], _T | None]) -> None:
+        self.listed = listed
+        self.rule = rule
+
+    def __getitem__(self, label: str) -> _T:
+        found = self.listed.get(label)
+        if found is None:
+            found = self.rule(label)
+        if found is None:
+            raise KeyError(label)
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.listed)
+
+    def __len__(self) -> int:
+        return len(self.listed)
+
+
+def _kinds_of_end(label: str) -> set[str]:
+    """Return the kinds of words of a label that says that an episode is over, or none.
+
+    All its words must have one: end_flag is such a label, end_time is none. The first
+    may be the group of a file, data/done.
+    """
+    words = label.split("_")
+    if len(words) > 1 and words[0] == "data":
+        del words[0]
+    kinds = {KIND_OF_WORD.get(word, "") for word in words}
+    is_end = "" not in kinds and not kinds.isdisjoint(
+        ("terminated", "truncated", "either")
+    )
+    return kinds if is_end else set()
+
+
+def _field_of_end(label: str) -> str | None:
+    """Return the column of a label whose words say that one thing ended, or None."""
+    kinds = _kinds_of_end(label)
+    words = label.split("_")
+    # of another row, or terminal_state, which may be a state
+    if "next" in words or ("state" in words and "flag" not in kinds):
+        return None
+    fields = kinds - {"flag", "other"}
+    return fields.pop() if fields in ({"terminated"}, {"truncated"}) else None
+
+
+def _doubt_of_end(label: str) -> Doubt | None:
+    """Return the doubt about a label of ends that may mean several things, or None."""
+    kinds = _kinds_of_end(label)
+    if not kinds or label in FIELDS:
+        return None
+    return _OPPOSITE if "opposite" in kinds else END
+
+
+FIELDS: Mapping[str, str] = _Labels(
+    {
+        alias: field
+        for field, aliases in ALIASES.items()
+        for alias in (field, *aliases.split())
+    },
+    _field_of_end,
+)
 
 
 # labels of the probability of a policy's action, in a table of a policy
@@ -151,7 +232,7 @@ _REWARD = Doubt(
     "may be the reward of its own row, or that of the next one",
     (frozenset({"reward"}),),
 )
-DOUBTS = {
+_LISTED_DOUBTS = {
     label: doubt
     for doubt, labels in (
         (
@@ -196,6 +277,9 @@ DOUBTS = {
     )
     for label in labels.split()
 }
+
+
+DOUBTS: Mapping[str, Doubt] = _Labels(_LISTED_DOUBTS, _doubt_of_end)
 # what resembles a log's labels and is something else
 OTHER_WORDS = {
     "timestamp",

@@ -4,11 +4,14 @@ Writers of part files, of a folder a day and the like cut a log where they like.
 last episode of a file and the first of the next are one where they have one id and
 nothing speaks against it: the last row there is neither terminated nor truncated, its
 next_state is the state of the first row here, and the timestep, if there is one, goes
-on. Otherwise they are two, which is told where it is a guess.
+on. Otherwise they are two, which is told where it is a guess. It is told as well where
+they are one by their states alone, in folders ``column=value`` that differ: ids may
+restart in each.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -23,6 +26,7 @@ from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import BoolArray, Column
 
 TIMESTEP = "timestep[0]"
+JOINED = "read as one, as its states go on"  # of a note on two files that are joined
 
 
 class Row(NamedTuple):
@@ -73,8 +77,9 @@ def judge(
             reason = f"its last row in {last.path!r} is {over[0]}"
             return late._replace(fault=f"{starts} ({reason})")
         return late
+    going_on = Verdict(is_one=True, note=_doubt_of_folders(last, first))
     if not (last.is_sound and first.is_sound):
-        return Verdict(is_one=True)
+        return going_on
     before = there.get("timestep")
     against = ""
     if np.any(differs(there["next_state"], here["state"])):
@@ -93,7 +98,8 @@ def judge(
     if against and late.fault:
         return late._replace(fault=f"{starts} ({against}, in {last.path!r})")
     if not against:
-        return Verdict(is_one=True)
+        # a timestep that goes on says itself that the ids did not restart
+        return Verdict(is_one=True) if step is not None else going_on
     note = (
         f"episode {_checks.show(here['episode'])} ends {last.path!r} and begins"
         f" {first.path!r}; they are two, since {against}"
@@ -101,16 +107,40 @@ def judge(
     return Verdict(is_one=False, note=note)
 
 
-def warn_of(notes: Sequence[str]) -> None:
-    """Warn of episodes that were not joined, with the first of them."""
-    if not notes:
-        return
-    more = f" ({len(notes)} such places in all)" if len(notes) > 1 else ""
-    _checks.warn(
-        f"{notes[0]}{more}; write the file's name before ids that restart in each file,"
-        " or give the files in the order in which they were written",
-        DataWarning,
+def _doubt_of_folders(last: Row, first: Row) -> str:
+    """Return what speaks against one episode where its files' folders differ.
+
+    Ids may restart in each folder ``column=value``, as of each agent; empty where the
+    folders are the same.
+    """
+    steps = [re.split(r"[\\/]", row.path)[:-1] for row in (last, first)]
+    there, here = ([step for step in some if "=" in step] for some in steps)
+    others = [step for step in here if step not in there]
+    others += [step for step in there if step not in here]
+    if not others:
+        return ""
+    label = _checks.escape_controls(others[0].partition("=")[0][:80])
+    return (
+        f"episode {_checks.show(first.values['episode'])} ends {last.path!r} and begins"
+        f" {first.path!r}; they are {JOINED}, although the folders differ in {label}"
     )
+
+
+def warn_of(notes: Sequence[str]) -> None:
+    """Warn of episodes that were not joined, and of those that may be two."""
+    joined = [note for note in notes if JOINED in note]
+    others = [note for note in notes if JOINED not in note]
+    for some, way in (
+        (others, ", or give the files in the order in which they were written"),
+        (joined, " or folder, so that they are unique"),
+    ):
+        if some:
+            more = f" ({len(some)} such places in all)" if len(some) > 1 else ""
+            _checks.warn(
+                f"{some[0]}{more}; write the file's name before ids that restart in"
+                f" each file{way}",
+                DataWarning,
+            )
 
 
 class SameColumns:

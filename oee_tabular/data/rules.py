@@ -11,11 +11,13 @@ so that "7" and "007" differ.
 from __future__ import annotations
 
 import decimal
+import difflib
 import fractions
 import math
 import operator
 import re
 from collections.abc import Callable, Container, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -397,6 +399,8 @@ def check_table(
     return values
 
 
+# how like a label a misspelt one is, by difflib: next_stat is, as 0.95
+NEAR = 0.85
 HEADER_RULE = (
     "must hold the values of a transition; it holds the labels of the columns again"
     " (of files that were joined by hand: leave that line out, or give the files as a"
@@ -426,6 +430,53 @@ def plain(label: Any) -> str:
 
 
 def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
+    """Return the rows of raw columns that hold labels of the columns, or others' labels
+    of the same columns.
+    """
+    return np.union1d(_find_own_labels(columns, labels), _find_other_labels(columns))
+
+
+def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
+    """Return the rows whose state, action and next state each are a label of these.
+
+    One of them may be misspelt. A row is no header where another row holds one of its
+    labels of states as well: states may be called s and s1.
+    """
+    # that module needs this one
+    from oee_tabular.data.aliases import FIELDS
+
+    none = np.zeros(0, dtype=np.int64)
+    if not all(label in columns and columns[label].dtype.hasobject for label in MOVE):
+        return none
+
+    def likeness(item: Any, label: str) -> float:
+        """Return how much a value is like a label of a column, 1 where it is one."""
+        text = plain(item[:100]) if isinstance(item, str) else ""
+        if FIELDS.get(text) == label:
+            return 1
+        ratio = difflib.SequenceMatcher(None, text, label).ratio()
+        return ratio if ratio > NEAR else 0
+
+    rows = np.arange(len(columns["state"]))
+    total = np.zeros(len(rows))
+    for label in MOVE:
+        found = _for_each(partial(likeness, label=label), columns[label][rows].tolist())
+        total = total + np.array(found, dtype=np.float64)
+        is_kept = np.array(found, dtype=np.float64) > 0
+        rows, total = rows[is_kept], total[is_kept]
+    rows = rows[total > len(MOVE) - 1 + NEAR]
+    if not rows.size:
+        return none
+    is_other = np.ones(len(columns["state"]), dtype=np.bool_)
+    is_other[rows] = False
+    names: set[Any] = set()
+    for label in MOVE[::2]:
+        names.update(columns[label][is_other].tolist())
+    pairs = zip(columns["state"][rows], columns["next_state"][rows], strict=True)
+    return rows[[names.isdisjoint(pair) for pair in pairs]]
+
+
+def _find_own_labels(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
     """Return the rows of raw columns that hold labels of the columns."""
     none = np.zeros(0, dtype=np.int64)
     if not columns or not all(column.dtype.hasobject for column in columns.values()):

@@ -63,6 +63,7 @@ MAX_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 MAX_LINE_CHARACTERS = 2**24  # of a CSV file, which is read no further
 # which processors keep near; of 2**20 the reading takes 1.2 times as long
 BLOCK_BYTES = 2**18
+MAX_BLANK_LINES = 10_000_000  # in a row, of a CSV file, which is read no further
 MAX_LINES_ABOVE = 5  # above a header, that are looked at where there is none
 WINDOW_BYTES = 2**16  # half of csv's longest field
 # bytes that tell nothing of the number of fields
@@ -75,6 +76,12 @@ DIGEST_MARK = b"oee_tabular_sha256:"
 DIGEST_REMNANTS = (b"oee_tabular", b"lar_digest", b"lar_sha256:")
 EMPTY_DIGEST = b"0" * 64
 TAIL_BYTES = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
+
+
+EMPTY_RULE = (
+    "must have a header; the file is empty (beside other files of a log it may be left"
+    " out)"
+)
 
 
 class LogFile(NamedTuple):
@@ -133,6 +140,9 @@ def open_table(file: LogFile, form: Any) -> Table:
     ``files.Format``.
     """
     is_parquet = file.suffix == ".parquet"
+    name = _files.local(file.path)
+    if is_parquet and os.path.isfile(name) and not os.path.getsize(name):
+        raise ArgumentError(f"{file.path!r}", EMPTY_RULE)
     if is_parquet:
         check_digest(file.path)
     header = read_parquet_header(file.path) if is_parquet else None
@@ -666,7 +676,9 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
     elif mark == b"\xef\xbb\xbf":
         encoding = "utf-8-sig"
     lines = _csv_lines(path, encoding)
-    header = next(lines, Line(1, []))
+    header = next(lines, None)
+    if header is None:
+        raise ArgumentError(f"{path!r}", EMPTY_RULE)
     if header.problem:
         raise ArgumentError(f"{path!r}: line {header.number}", header.problem)
     return _plain_labels(header.fields), next(lines, header).fields, encoding
@@ -676,14 +688,22 @@ def _csv_lines(path: str, encoding: str) -> Iterator[Line]:
     """Yield each line that is not empty."""
     wrong: dict[int, str] = {}
     number = 0
+    last = 0  # the last line that is not blank
     with _csv_errors(path), open_csv(path, encoding) as handle:
         reader = csv.reader(_lines_of_whole_fields(handle, wrong), strict=True)
         try:
             for number, fields in enumerate(reader, 1):
                 if number in wrong:
+                    last = number
                     yield Line(number, [], wrong.pop(number))
                 elif fields:
+                    last = number
                     yield Line(number, fields)
+                elif number - last > MAX_BLANK_LINES:
+                    raise ValueError(
+                        f"from line {last + 1} on, more than {MAX_BLANK_LINES} lines in"
+                        " a row are blank (leave them out)"
+                    )
         except csv.Error as error:
             raise ValueError(f"of line {number + 1}, {error}") from None
 
@@ -807,6 +827,8 @@ def _is_regular(block: bytes, n: int) -> bool:
     """
     if not block.isascii():
         block.decode()  # an error where it is no UTF-8
+    if len(block) > WINDOW_BYTES and not block.strip(b"\r\n"):
+        return False  # blank lines, of which Python refuses very many
     for start in range(0, len(block) - WINDOW_BYTES, WINDOW_BYTES):
         if block.find(b"\n", start, start + WINDOW_BYTES) < 0:
             return False  # a line that Python may refuse

@@ -177,7 +177,7 @@ def test_lines_that_are_none_of_a_log(tmp_path, line, text):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", r"log\.csv' must have the columns state, action, next_state; it has none"),
+        ("", r"log\.csv' must have a header; the file is empty"),
         ("state,action\n0,1\n", r"log\.csv' must have the columns"),
         (
             "state,action,next_state,state\n0,1,2,3\n",

@@ -420,3 +420,22 @@ def test_a_folder_that_cannot_be_read_is_refused(tmp_path, read, monkeypatch):
     closed.add(str(tmp_path / "b"))
     with pytest.raises(ValueError, match=r"^path must name a folder .*b' cannot"):
         read(tmp_path)
+
+
+@pytest.mark.parametrize("read", [Transitions.load, Transitions.open])
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("b.csv", b""),
+        ("b.csv", b"\r\n\n"),
+        ("b.csv", b"\xef\xbb\xbf"),
+        ("b.csv.gz", b""),
+        ("b.parquet", b""),
+    ],
+)
+def test_a_part_that_is_empty(tmp_path, read, name, data):
+    (tmp_path / "a.csv").write_text("state,action,next_state\n0,0,1\n")
+    (tmp_path / name).write_bytes(data)
+    words = r"must have a header; the file is empty .* may be left out"
+    with pytest.raises(ValueError, match=rf"{name}' {words}"):
+        read(tmp_path)

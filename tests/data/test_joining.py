@@ -176,8 +176,36 @@ def test_links_that_lead_nowhere_are_not_passed_over(tmp_path):
 def test_a_pattern_of_folders(tmp_path):
     files(tmp_path, {"day=2/a.csv": "1,0,2,x", "day=1/a.csv": "0,0,1,x"})
     for path in (str(tmp_path / "day=*"), tmp_path):
-        assert Transitions.load(path).state.tolist() == [0, 1]
-        assert Transitions.open(path).recording.episodes == 1
+        with pytest.warns(UserWarning, match="read as one.* the folders differ in day"):
+            assert Transitions.load(path).state.tolist() == [0, 1]
+        with pytest.warns(UserWarning, match="read as one.* the folders differ in day"):
+            assert Transitions.open(path).recording.episodes == 1
+
+
+@pytest.mark.parametrize("read", [Transitions.load, Transitions.open])
+@pytest.mark.parametrize(
+    "folders", [("robot=1", "robot=2"), ("seed=0/a=1", "seed=0/a=2"), ("", "site=x")]
+)
+def test_ids_that_may_restart_in_each_folder(tmp_path, read, folders):
+    """The same folder is none that differs, and timesteps tell where ids restart."""
+    texts = [f"{folder}/{name}.csv" for folder in folders for name in "pq"]
+    rows = dict(zip(texts, ("0,0,1,0", "1,0,2,0", "2,0,3,0", "3,0,4,0"), strict=True))
+    files(tmp_path / "a", rows)
+    paths = [tmp_path / "a" / text for text in texts]
+    with pytest.warns(UserWarning, match="read as one") as told:
+        assert read(paths).summary()["episodes"] == 1
+    (text,) = (str(each.message) for each in told)
+    assert str(paths[1]) in text
+    assert str(paths[2]) in text
+    assert "write the file's name before ids" in text
+    assert "such places" not in text
+    head = f"{HEAD},timestep"
+    files(
+        tmp_path / "b",
+        {text: f"{rows[text]},{k}" for k, text in enumerate(texts)},
+        head,
+    )
+    assert read([tmp_path / "b" / text for text in texts]).summary()["episodes"] == 1
 
 
 # ---- folders that name columns

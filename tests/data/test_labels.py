@@ -150,7 +150,8 @@ def test_labels_that_mean_one_thing_are_read_with_one_note(tmp_path, project):
 
 
 def test_every_alias_is_read_as_its_column_and_none_is_doubtful():
-    assert not set(FIELDS) & set(DOUBTS)
+    assert not any(label in FIELDS for label in DOUBTS)
+    assert not any(label in DOUBTS for label in FIELDS)
     for label in (*FIELDS, *DOUBTS):
         assert plain(label) == label
     for field, aliases in ALIASES.items():
@@ -158,6 +159,82 @@ def test_every_alias_is_read_as_its_column_and_none_is_doubtful():
             with pytest.warns(DataWarning, match=f" as {field} "):
                 log = Transitions.from_frame(OURS.rename(columns={field: alias}))
             assert sorted(log.columns()) == sorted(EXPECTED.columns())
+
+
+@pytest.mark.parametrize(
+    ("label", "field"),
+    [
+        ("is_episode_terminated", "terminated"),
+        ("TerminationFlag", "terminated"),
+        ("data/terminals", "terminated"),
+        ("task.terminates", "terminated"),
+        ("wasTerminated", "terminated"),
+        ("terminal-state-flag", "terminated"),
+        ("episode truncated", "truncated"),
+        ("hasTruncated", "truncated"),
+        ("trunc_flag", "truncated"),
+    ],
+)
+def test_labels_of_ends_are_read_by_their_words(label, field):
+    with pytest.warns(DataWarning, match=f" as {field} "):
+        log = Transitions.from_frame(OURS.rename(columns={field: label}))
+    assert_array_equal(getattr(log, field), getattr(EXPECTED, field))
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "isEnded",
+        "data/episode_over",
+        "has_finished",
+        "doneFlag",
+        "game.ended",
+        "final_flag",
+        "end_state",
+        "terminal_state",
+        "done_or_truncated",
+        "termination_truncation_flag",
+        "is_over_flag",
+        "next_terminal",
+        "is_not_done",
+    ],
+)
+def test_labels_of_ends_that_may_mean_two_things(label):
+    table = OURS[["state", "action", "next_state"]].assign(**{label: 1})
+    with pytest.raises(ArgumentError, match="whose meaning is clear") as refused:
+        Transitions.from_frame(table)
+    for field in () if "not" in label else ("terminated", "truncated"):
+        assert f"--column {field}={label}" in str(refused.value)
+    with pytest.warns(DataWarning, match=f"left out: {label}"):
+        Transitions.from_frame(OURS.assign(**{label: 1}))
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "end_time",
+        "end_effector_x",
+        "terminal_voltage",
+        "final_x",
+        "recommended",
+        "endpoint",
+        "final_reward",
+        "terminal_id",
+        "termination_reason",
+        "overall",
+        "is_flag",
+        "backend",
+        "weekend",
+        "data_id",
+        "turnover",
+        "truncation_error",
+        "episode_flag",
+    ],
+)
+def test_labels_that_are_no_ends(label):
+    table = OURS[["state", "action", "next_state"]].assign(**{label: 1.5})
+    with pytest.warns(DataWarning, match=f"left out: {label}$"):
+        Transitions.from_frame(table)
 
 
 @pytest.mark.parametrize("label", sorted(DOUBTS))

@@ -125,6 +125,72 @@ def test_a_header_in_a_frame_and_in_parquet(tmp_path):
     assert "state" in Transitions.from_frame(named).state_names
 
 
+@pytest.mark.parametrize(
+    ("head", "again"),
+    [
+        (HEAD, "observation,act,newObs"),
+        (HEAD, "s_t,a_t,s_tp1"),
+        (HEAD, "state,acton,next_state"),
+        (HEAD, "prev_state,actions,nextstate"),
+        ("obs,action,next_obs", HEAD),
+        (f"{HEAD},reward", "current_state,action,new_state,rew"),
+    ],
+)
+@pytest.mark.parametrize("row", [f"0,{PAD}0,1", f"hall,go,dock{PAD}"])
+@pytest.mark.parametrize("n", [2, MANY])
+@pytest.mark.filterwarnings("ignore:.* has other labels than a log")
+def test_a_header_in_the_middle_with_other_labels(tmp_path, head, again, row, n):
+    row = row.replace(f"dock{PAD}", "dock") + ",2" * (head.count(",") - 2)
+    path = write(tmp_path, head + f"\n{row}" * n + f"\n{again}\n{row}\n")
+    place = (
+        rf"row {n} \(line {n + 2}\) must hold the values .* give the files as a list"
+    )
+    with pytest.raises(ValueError, match=place):
+        Transitions.load(path)
+    if row[0] == "0":
+        with pytest.raises(ValueError, match=place):
+            Transitions.open(path)
+        assert len(Transitions.open(path, bad_rows="drop")) == n + 1
+    with pytest.raises(ValueError, match=rf"frame: row {n} must hold the values"):
+        Transitions.from_frame(pd.read_csv(path))
+
+
+@pytest.mark.parametrize("n", [2, MANY])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "s,a,s1\ns1,b,s",  # names of states in other rows as well
+        "obs,action,state\nhall,go,dock",  # not those of their own columns
+        "state,go,next_state\nhall,go,dock",
+        "state1,action1,next_state1\nhall,go,dock",
+    ],
+)
+def test_names_that_are_labels_as_well(tmp_path, rows, n):
+    path = write(tmp_path, f"{HEAD}\n" + f"{rows}\n" * n)
+    assert len(Transitions.load(path)) == 2 * n
+
+
+@pytest.mark.parametrize("n", [0, 1, MANY])
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_very_many_blank_lines(tmp_path, monkeypatch, n, ending):
+    from oee_tabular.data import tables
+
+    monkeypatch.setattr(tables, "MAX_BLANK_LINES", 300_000)
+    rows = f"0,{PAD}0,1{ending}" * n
+    for number, is_right in ((300_000, n > 0), (2_000_000, False)):
+        blank = ending * number
+        path = tmp_path / f"{number}.csv.gz"
+        path.write_bytes(gzip.compress(f"{HEAD}{ending}{rows}{blank}".encode(), 1))
+        for read in (Transitions.load, Transitions.open):
+            if is_right:
+                assert len(read(path)) == n
+            elif number > 300_000:
+                with pytest.raises(
+                    ValueError, match=rf"from line {n + 2} on, more than 300000 lines"
+                ):
+                    read(path)
+
+
 # ---- episodes
 
 
