@@ -53,6 +53,20 @@ def edited(array, index, value):
     return changed
 
 
+def spoilt(kind, data):
+    """A sparse matrix whose data was replaced."""
+    matrix = kind(GOOD.reshape(-1, 2))
+    matrix.data = data
+    return matrix
+
+
+class Trained:
+    """A model as another library has them."""
+
+    def predict(self, state, deterministic=True):
+        return np.array(0), None
+
+
 def rows(array):
     """The same as a sparse matrix of rows."""
     return sparse.csr_array(array.reshape(-1, array.shape[-1]))
