@@ -89,7 +89,7 @@ mdp(rewards={"a": 0.0, "b": 1.0})  ->  rewards must be ...; got dict, ...: list(
 mdp(spoilt(sparse.csr_array, None))  ->  transitions must be a sound sparse matrix; ...; it is a NoneType
 mdp(spoilt(sparse.coo_array, [0.5]))  ->  transitions must be a sound sparse matrix; ...; it is a list
 mdp(rewards=spoilt(sparse.csc_array, "x"))  ->  rewards must be a sound sparse matrix; ...; it is a str
-mdp(rewards=[Decimal(0), Decimal("sNaN")])  ->  rewards[1] must be finite; it is nan
+mdp(rewards=SIGNALLING)  ->  rewards[1] must be finite; it is nan
 check_policy(sparse.csr_array(UNIFORM), GRID)  ->  policy must be ...: give .toarray()
 efficiency_bound(GRID, UNIFORM, sparse.csr_array(UNIFORM / 9))  ->  data_distribution must be ...: give .toarray()
 check_policy(Trained(), GRID)  ->  policy must be ...Trained, which has a method predict ...: lambda s: model.predict(s)[0]
