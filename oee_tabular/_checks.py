@@ -11,6 +11,7 @@ import sys
 import unicodedata
 import warnings
 from collections.abc import Callable, ItemsView, KeysView, Mapping, Set
+from decimal import Decimal
 from typing import Any, TypeVar
 
 import numpy as np
@@ -134,6 +135,13 @@ def float_array(
         If the value holds text, dates or complex numbers, has a unit or labels that
         position loses, rows of different lengths, or another number of dimensions.
     """
+    if isinstance(value, Mapping) and not is_sparse(value):
+        raise ArgumentError(
+            name,
+            f"must be an array of numbers; got {type(value).__name__}, whose"
+            " keys it has no use for (its values, in the order of their numbers:"
+            " list(mapping.values()))",
+        )
     given: Any = as_array(
         value, name, "an array of numbers", allow_missing=allow_missing
     )
@@ -148,6 +156,8 @@ def float_array(
             raise TypeError("complex numbers")
         if kind not in "biufO":
             raise TypeError(f"of {given.dtype}")
+        if kind == "O":
+            given = _quiet(given)
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ArgumentError(
@@ -162,6 +172,20 @@ def float_array(
             name, f"must have {rule} dimension(s); it has shape {array.shape}"
         )
     return array
+
+
+def _quiet(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of objects with nan for the signalling nans of decimals.
+
+    They say what nan says; asked for a float, or to compare, they raise.
+    """
+    items = array.reshape(-1).tolist()
+    signals = [isinstance(item, Decimal) and item.is_snan() for item in items]
+    if not any(signals):
+        return array
+    quiet = array.copy()
+    quiet[np.reshape(signals, array.shape)] = np.nan
+    return quiet
 
 
 def refuse_text(value: object, name: str, rule: str, kind: str, hint: str = "") -> None:

@@ -101,7 +101,7 @@ def to_plain_array(
     if isinstance(value, list | tuple):
         return _plain_items(value, name, index, allow_missing)
     if is_sparse(value):
-        raise TypeError("a sparse matrix")
+        raise TypeError("a sparse matrix: give .toarray()")
     if _is_missing(value):
         return _missing(name, index, allow_missing, "missing")
     try:

@@ -8,6 +8,7 @@ compiler gets one sentence.
 from __future__ import annotations
 
 import functools
+import io
 import math
 import sys
 import threading
@@ -60,20 +61,40 @@ def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
     chosen = defaults | options
     if chosen["disable"] is None:
         chosen["disable"] = not is_terminal(sys.stderr)
-    if sys.stderr is None:
+    if not chosen["disable"] and not can_show():
         chosen["disable"] = True
+    if chosen["disable"]:  # tqdm asks its stream even then
+        chosen["file"] = io.StringIO()
     return tqdm(items, desc=title, **chosen)
 
 
 def is_terminal(stream: Any) -> bool:
     """Return whether a stream is a terminal.
 
-    A service has None in place of a stream; that of a notebook may lack the method.
+    A service has None in place of a stream; that of a notebook may lack the method. A
+    stream that cannot say is none.
     """
     try:
         return bool(stream.isatty())
-    except (AttributeError, ValueError, OSError):  # missing, closed, gone
+    except Exception:  # missing, closed, gone; a user's object may raise anything
         return False
+
+
+def can_show() -> bool:
+    """Return whether a bar can be shown on stderr, a terminal or a file.
+
+    The streams are asked for all that tqdm asks them for, which also flushes stdout.
+    """
+    try:
+        if sys.stderr is None or getattr(sys.stderr, "closed", False):
+            return False
+        _ = getattr(sys.stderr, "encoding", None)
+        sys.stderr.write("")
+        for stream in (sys.stderr, sys.stdout):
+            getattr(stream, "flush", bool)()
+    except Exception:  # a user's object may raise anything
+        return False
+    return True
 
 
 def report_step(step: str) -> None:
@@ -144,7 +165,7 @@ def _tell_steps(is_done: threading.Event) -> None:
 
             last = _step
             # a stream that is gone must not end the work
-            with suppress(OSError, ValueError, AttributeError):
+            with suppress(Exception):
                 tqdm.write(
                     f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr
                 )

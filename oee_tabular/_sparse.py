@@ -84,8 +84,24 @@ def _require_real_matrix(matrix: Any, name: str) -> None:
         raise ArgumentError(
             name, f"must have 2 dimensions when sparse; it has shape {matrix.shape}"
         )
-    if matrix.dtype.kind not in "biuf":
-        raise ArgumentError(name, f"must be real numbers; they are {matrix.dtype}")
+    kind = _dtype_of(matrix, name)
+    if kind.kind not in "biuf":
+        raise ArgumentError(name, f"must be real numbers; they are {kind}")
+
+
+def _dtype_of(matrix: Any, name: str) -> np.dtype[Any]:
+    """Return the type of the entries, of which a malformed matrix has none."""
+    try:
+        # scipy asks the data, which may have been replaced by anything
+        kind: np.dtype[Any] = matrix.dtype
+    except Exception:
+        held = type(getattr(matrix, "data", None)).__name__
+        raise ArgumentError(
+            name,
+            f"must be a sound sparse matrix; its {matrix.format} form is not (data must"
+            f" be an array of numbers; it is a {held})",
+        ) from None
+    return kind
 
 
 class Entries(NamedTuple):
@@ -184,7 +200,7 @@ def check_values(
     ArgumentError
         If the matrix is malformed, or if different values stand in one place.
     """
-    if matrix.format == "csr" and matrix.dtype == np.float64:
+    if matrix.format == "csr" and _dtype_of(matrix, name) == np.float64:
         # the usual case; scipy says whether it holds only of sound matrices
         csr = check_csr(matrix, name)
         if csr.has_canonical_format:

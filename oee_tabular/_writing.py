@@ -188,7 +188,7 @@ class Part:
         if target.is_symlink() or (target.exists() and not target.is_file()):
             raise OSError(
                 errno.EINVAL,
-                "must be a file; it is something else (a loop of links, a device)",
+                f"must be a file; it is {_kind_of(target)} (write to a file instead)",
                 self.path,
             )
         require_folder(target.parent)
@@ -239,6 +239,17 @@ class Part:
             raise OSError(
                 error.errno, f"cannot be written ({error.strerror})", self.path
             ) from None
+
+
+def _kind_of(path: Path) -> str:
+    """Name what stands at a path that is no file and no folder."""
+    if path.is_symlink():  # of a path without links
+        return "a loop of links"
+    if path.is_fifo():
+        return "a named pipe"
+    if path.is_socket():
+        return "a socket"
+    return "a device"
 
 
 def require_folder(folder: Path) -> None:

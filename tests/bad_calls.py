@@ -81,7 +81,26 @@ oee.plots.Map.of_shape(2, 10**12)  ->  rows must be small enough
 oee.plots.Map.of_shape(10**12, 2)  ->  rows must be small enough
 oee.plots.Map.of_shape(0, 2)  ->  rows must be a positive integer
 mdp([sparse.eye_array(2), sparse.eye_array(3)])  ->  transitions[1] must have shape (2, 2), of states and next states
-mdp([sparse.eye_array(2), np.eye(2)])  ->  transitions must be an array of numbers; got list (a sparse matrix)
+mdp([sparse.eye_array(2), np.eye(2)])  ->  transitions must be an array of numbers; got list (a sparse matrix: give .toarray())
+mdp(initial=sparse.csr_array([[1.0, 0.0]]))  ->  initial must be ...: give .toarray()
+mdp(available=sparse.csc_array(np.ones((2, 2))))  ->  available must be ...: give .toarray()
+mdp({0: sparse.eye_array(2), 1: sparse.eye_array(2)})  ->  transitions must be ...; got dict, ...: list(mapping.values())
+mdp(rewards={"a": 0.0, "b": 1.0})  ->  rewards must be ...; got dict, ...: list(mapping.values())
+mdp(spoilt(sparse.csr_array, None))  ->  transitions must be a sound sparse matrix; ...; it is a NoneType
+mdp(spoilt(sparse.coo_array, [0.5]))  ->  transitions must be a sound sparse matrix; ...; it is a list
+mdp(rewards=spoilt(sparse.csc_array, "x"))  ->  rewards must be a sound sparse matrix; ...; it is a str
+mdp(rewards=SIGNALLING)  ->  rewards[1] must be finite; it is nan
+check_policy(sparse.csr_array(UNIFORM), GRID)  ->  policy must be ...: give .toarray()
+efficiency_bound(GRID, UNIFORM, sparse.csr_array(UNIFORM / 9))  ->  data_distribution must be ...: give .toarray()
+check_policy(Trained(), GRID)  ->  policy must be ...Trained, which has a method predict ...: lambda s: model.predict(s)[0]
+evaluate(P, [Trained(), Trained()])  ->  policy 'policy' must be ...a list of Trained...: lambda s: model.predict(s)[0]
+check_policy(lambda s: [np.array(1), None, None, None], GRID)  ->  policy(0) must be an action...: return the action alone
+check_policy(lambda s: np.array([1, None], dtype=object), GRID)  ->  policy(0) must be an action...: return the action alone
+check_policy(lambda s: [2, {}, {}, {}], GRID)  ->  policy(0) must be an action...: return the action alone
+interval(P, UNIFORM, method="robust", seed={})  ->  seed must be what numpy.random.default_rng takes
+interval(P, UNIFORM, method="delta", n_bootstrap=-3)  ->  n_bootstrap must be a positive integer; it is -3
+compare_policies(P, [UNIFORM, UNIFORM], n_bootstrap=1.5)  ->  n_bootstrap must be a positive integer
+density_ratio([1, 1], [1, 1], seed="q")  ->  seed must be what numpy.random.default_rng takes
 mdp(GOOD.astype(np.float32).astype(float) * (1 + 1e-7))  ->  transitions[0,
   0] must sum to 1 ... (of single precision, or rounded? Divide each row by its sum)
 mdp(initial=[0.3333333, 0.6666666])  ->  initial must sum to 1 ... (of single precision, or rounded? Divide by the sum)

@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import warnings
 from dataclasses import replace
+from decimal import Decimal
 from types import SimpleNamespace
 
 import gymnasium
@@ -42,6 +43,7 @@ PHI = np.arange(120.0) % 7
 KEYS = np.arange(120) % 3
 HALVES = [[0.5, 0.5]] * 2
 COIN = np.full((2, 1, 2), 0.5)
+SIGNALLING = [Decimal(0), Decimal("sNaN")]
 ITSELF = []
 ITSELF.append(ITSELF)
 SGD = {"solver": "sgd", "normalized": False, "lower": 0.1, "upper": 9.0}
@@ -51,6 +53,20 @@ def edited(array, index, value):
     changed = np.array(array, dtype=float)
     changed[index] = value
     return changed
+
+
+def spoilt(kind, data):
+    """A sparse matrix whose data was replaced."""
+    matrix = kind(GOOD.reshape(-1, 2))
+    matrix.data = data
+    return matrix
+
+
+class Trained:
+    """A model as another library has them."""
+
+    def predict(self, state, deterministic=True):
+        return np.array(0), None
 
 
 def rows(array):

@@ -804,3 +804,14 @@ def test_counts_of_counts_are_written(command):
     assert command("counts log.csv --output c.npz")[0] == 0
     oee.Transitions.open("c.npz", output="third.npz")
     assert Path("third.npz").read_bytes() == Path("c.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("kind", "called"),
+    [("pipe", "a named pipe"), ("socket", "a socket"), ("loop", "a loop of links")],
+)
+def test_what_is_no_file_is_called_what_it_is(kind, called, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the name of a socket is short
+    put(kind, "log.npz", "target")
+    with pytest.raises(OSError, match=rf"it is {called} \(write to a file instead\)"):
+        oee.Transitions([0], [0], [0]).save("log.npz")

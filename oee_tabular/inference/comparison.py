@@ -524,6 +524,9 @@ def compare_estimates(
     require_squares(problem.model)
     number = _checks.positive_integer(n_draws, "n_draws")
     _checks.require_memory(4.0 * number * len(named), "n_draws", n_draws)
+    # options of one method are checked with both
+    n_resamples = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+    generator = _checks.generator(seed)
     # in the order of the names, so that the draws do not depend on the order given
     names = sorted(named)
     evidences = [
@@ -544,14 +547,12 @@ def compare_estimates(
     # the most that a box leaves of the variance in unrecorded pairs
     never = factor**2 * never * min(1.0, (1.0 - nu) * (mu - 1.0))
     recorded = factor**2 * recorded
-    generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never
         normal = generator.standard_normal((number, len(values)))
         draws = values + normal @ _root(covariance).T
     else:
-        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        resampled = _resample(problem, evidences, number, generator)
+        resampled = _resample(problem, evidences, n_resamples, generator)
         covariance = factor**2 * np.atleast_2d(np.cov(resampled.T)) + never
         draws = values + factor * (resampled - likely)
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T

@@ -369,6 +369,9 @@ def interval(
     has_box = lower_ratio is not None or upper_ratio is not None
     factor = check_factor(unrecorded, has_box=has_box)
     limit = check_seconds(seconds, "seconds")
+    # options of one method are checked with all of them
+    number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+    _checks.generator(seed)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ArgumentError("horizon", "must be given at discount 1")
     if problem.trials is not None:
@@ -422,7 +425,6 @@ def interval(
     elif method == "delta":
         lower, upper, about = _delta_interval(evidence, z)
     else:
-        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         values = bootstrap_values(
             problem, evidence, by=resample, n_bootstrap=number, seed=seed
         )

@@ -35,7 +35,7 @@ off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, log, log1p, sqrt
+from math import frexp, inf, ldexp, log, log1p, sqrt
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -66,6 +66,7 @@ RESIDUAL_TOLERANCE = 1e-12  # of the largest value or reward
 RADIUS_TOLERANCES = (1e-9, 1e-15)
 # the largest number of lambdas that a row tries
 MAX_STEPS = 200
+MIN_EXPONENT = -1020  # of a unit that is a power of two
 
 
 def independent_radius(n: Array, k: IntArray, level: float) -> Array:
@@ -210,8 +211,13 @@ def solve_rows(
 ) -> tuple[Array, Array]:
     """Compute certified bounds (S*A,) on max sum P v, and the KL of the maximisers.
 
-    The maximisers are written into p.
+    The maximisers are written into p. ``v`` and the multipliers ``guesses`` are solved
+    in a unit of v's size, whose products neither underflow nor overflow.
     """
+    # a power of two, which rounds nothing
+    unit = power_of_two(v)
+    v = v / unit
+    guesses /= unit
     bound, kl = np.empty((2, len(radius)))
     rows = evidence.rows
     # a row without a ball and without room is what it is, in any order
@@ -233,7 +239,17 @@ def solve_rows(
         bound,
         kl,
     )
-    return bound, kl
+    guesses *= unit
+    return bound * unit, kl
+
+
+def power_of_two(values: Array) -> float:
+    """Return the power of two at or below the largest absolute value; 1 for zeros."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not 0.0 < largest < inf:
+        return 1.0
+    # below it, since the inverse of the least numbers would be infinite
+    return ldexp(1.0, max(frexp(largest)[1] - 1, MIN_EXPONENT))
 
 
 def require_end(evidence: Evidence) -> None:

@@ -420,6 +420,7 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
             f" states; it is {_checks.show(policy)} ({hint})",
         )
     policy = _checks.to_native(policy)
+    _refuse_models(policy, name)
     is_function = callable(policy) and not hasattr(policy, "__array__")
     if isinstance(policy, Mapping) or is_function:
         return _choice_table(policy, mdp, name)
@@ -441,6 +442,25 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         )
     plain = _checks.plain_array(policy, name, "a policy's array")
     return _action_table(plain, mdp, name)
+
+
+def _refuse_models(policy: Any, name: str) -> None:
+    """Raise an ArgumentError for a trained model of another library, or a list of them.
+
+    Such an object is no function; its method ``predict`` returns (action, state).
+    """
+    is_list = isinstance(policy, list | tuple) and len(policy) > 0
+    model: Any = policy[0] if is_list else policy
+    kind = type(model)
+    is_model = callable(getattr(kind, "predict", None))
+    if not is_model or callable(model) or hasattr(kind, "__array__"):
+        return
+    raise ArgumentError(
+        name,
+        "must be an array, a mapping by state, or a function of a state; got"
+        f" {'a list of ' if is_list else ''}{kind.__name__}, which has a method predict"
+        " (a function of it: lambda s: model.predict(s)[0])",
+    )
 
 
 def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
@@ -578,6 +598,13 @@ def _choice_row(
             )
     elif is_named or _checks.is_integer(given):
         row[number_of(given, names, n_actions, name)] = 1.0
+    elif _has_more_than_numbers(choice):
+        raise ArgumentError(
+            name,
+            f"must be an action, or a distribution over the {n_actions} actions; it is"
+            f" {_checks.show(choice)} (of an action with something beside it: return"
+            " the action alone, as in lambda s: model.predict(s)[0])",
+        )
     elif shape_of(choice) == (n_actions,):
         row = _checks.float_array(choice, name, ndim=1)
     else:
@@ -586,6 +613,25 @@ def _choice_row(
         hint = " (an action is an integer: int(action))" if is_rounded else ""
         raise ArgumentError(name, f"must be {rule}; it is {_checks.show(choice)}{hint}")
     return _check_distributions(row, choice, name)
+
+
+def _has_more_than_numbers(choice: Any) -> bool:
+    """Say whether a list is an action with something else, or has None in it.
+
+    So are (action, state) of other libraries where they come as a list or an array.
+    """
+    if isinstance(choice, np.ndarray):
+        if choice.ndim != 1 or not choice.dtype.hasobject:
+            return False
+        choice = choice.tolist()
+    if not isinstance(choice, list | tuple) or len(choice) < 2:
+        return False
+    if any(part is None for part in choice):
+        return True
+    others = (Mapping, str, bytes, list, tuple)
+    return _single_integer(choice[0]) is not None and any(
+        isinstance(part, others) or getattr(part, "size", 1) != 1 for part in choice[1:]
+    )
 
 
 def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:

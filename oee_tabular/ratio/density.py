@@ -228,6 +228,7 @@ def density_ratio(
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     method = Sgd() if solver == "sgd" else solver
     _checks.boolean(normalized, "normalized")
+    _checks.generator(seed)  # used by some solvers, checked with all
     p_weights, q_weights = check_weights(p, q)
     n = len(p_weights)
     p_total = float(p_weights.sum())

@@ -318,6 +318,7 @@ class Method:
         Inputs that the method does not use are ignored.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
+        _checks.generator(seed)  # used by some methods, checked with all
         log = None
         cache = {} if cache is None else _checks.instance(cache, dict, "cache")
         if isinstance(log_or_counts, Transitions):

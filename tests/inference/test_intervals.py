@@ -451,3 +451,27 @@ def test_a_pair_that_a_resample_misses_is_as_simulated(resample):
     assert (found.lower, found.upper) == (0.5, 1.0)
     # the deviation of 1/2 or 1, with a chance of 0.35
     assert found.diagnostics["standard_error"] == pytest.approx(0.24, abs=0.02)
+
+
+@pytest.mark.parametrize("exponent", [-1000, -700, -560, 300])
+def test_the_robust_interval_has_the_unit_of_the_rewards(exponent):
+    pair = oee.testing.case("ragged")
+    problem = pair.problem(100, seed=0)
+    unit = 2.0**exponent
+    model = problem.simulator
+    parts = model.initial, model.discount
+    plain_model = oee.FiniteMDP(model.transitions, model.rewards, *parts)
+    scaled = oee.FiniteMDP(model.transitions, model.rewards * unit, *parts)
+    plain = oee.interval(
+        oee.Problem(plain_model, problem.log), pair.policy, method="robust"
+    )
+    found = oee.interval(oee.Problem(scaled, problem.log), pair.policy, method="robust")
+    ends = found.lower / unit, found.upper / unit
+    assert_allclose(ends, (plain.lower, plain.upper), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 5e-324, 1e-310, 3.0, 1e308])
+def test_a_power_of_two_is_at_or_below_the_largest_value(size):
+    unit = robust.power_of_two(np.array([-size, size / 2]))
+    assert np.frexp(unit)[0] == 0.5
+    assert size / unit < 2.0

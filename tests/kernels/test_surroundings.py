@@ -603,6 +603,31 @@ class Gone(io.StringIO):
         raise OSError("gone")
 
 
+class NotCallable(io.StringIO):
+    isatty = None
+
+
+class Broken:
+    """A stream that raises wherever it is asked."""
+
+    def __getattr__(self, name):
+        raise RuntimeError(name)
+
+
+class Odd(io.StringIO):
+    """A terminal that fails where it is used."""
+
+    def isatty(self):
+        return True
+
+    @property
+    def encoding(self):
+        raise KeyError("encoding")
+
+    def write(self, text):
+        raise ZeroDivisionError
+
+
 @pytest.mark.parametrize("make", [lambda: None, Bare, Gone])
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
 def test_python_needs_no_streams(make, name, tmp_path, monkeypatch):
@@ -619,8 +644,19 @@ def test_python_needs_no_streams(make, name, tmp_path, monkeypatch):
     assert counts.count.sum() == len(log) + len(other)
 
 
+@pytest.mark.parametrize("make", [NotCallable, Broken, Odd])
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_stream_that_fails_shows_no_progress(make, name, monkeypatch):
+    monkeypatch.setattr(sys, name, make())
+    items = list(_progress.progress_bar("counting", range(3), delay=0, disable=False))
+    with _progress.show_steps(only_terminal=True):
+        _progress.report_step("a step")
+    monkeypatch.undo()
+    assert items == [0, 1, 2]
+
+
 def test_a_stream_that_is_no_terminal():
-    for stream in (None, Bare(), Gone()):
+    for stream in (None, Bare(), Gone(), NotCallable(), Broken()):
         assert not _progress.is_terminal(stream)
     closed = io.StringIO()
     closed.close()
