@@ -533,7 +533,7 @@ def test_files_that_hold_something_else(tmp_path):
         (
             Transitions.load,
             "empty.csv",
-            r"must have the columns state, action, next_state; it has none",
+            r"must have a header; the file is empty \(beside other files of a log",
         ),
     ]
     for load, name, text in table:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field
+from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
 from oee_tabular.data.labels import (
     show_labels,
     suggest_columns,
@@ -20,7 +20,6 @@ from oee_tabular.data.labels import (
     warn_left_out,
     warn_read_as,
 )
-from oee_tabular.data.rules import plain
 from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, numbers_of

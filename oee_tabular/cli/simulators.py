@@ -56,8 +56,7 @@ def read_simulator(
     FiniteMDP
         The frequencies of the samples, or the probabilities of the table.
     """
-    from oee_tabular.data.aliases import POLICY_PROBABILITY
-    from oee_tabular.data.rules import plain
+    from oee_tabular.data.aliases import POLICY_PROBABILITY, plain
     from oee_tabular.data.tables import read_labels
 
     start: Any = initial
@@ -153,9 +152,8 @@ def _require_every_action(
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
-    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field
+    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
     from oee_tabular.data.labels import show_labels, warn_left_out
-    from oee_tabular.data.rules import plain
     from oee_tabular.data.tables import csv_frame
 
     name = repr(path)

@@ -12,10 +12,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from oee_tabular.data.rules import MOVE, plain
-
 _T = TypeVar("_T")
-NUMBERED = re.compile(rf"({'|'.join(MOVE)})_(0|[1-9][0-9]{{0,8}})")
+NUMBERED = re.compile(r"(state|action|next_state)_(0|[1-9][0-9]{0,8})")
 
 # labels of other projects that mean one thing
 ALIASES = {
@@ -308,3 +306,24 @@ def find_field(label: Any, has_vectors: bool) -> str | None:
     vector = FIELDS.get(start)
     numbered = f"{vector}_{number}"
     return numbered if NUMBERED.fullmatch(numbered) else None
+
+
+def plain(label: Any) -> str:
+    """Return a label in lower case, with one underscore for what parts its words.
+
+    The parts of a label that is a tuple are joined.
+
+    >>> plain("Next State"), plain("nextState"), plain("next.state"), plain("state[0]")
+    ('next_state', 'next_state', 'next_state', 'state_0')
+    """
+    if isinstance(label, tuple):
+        label = "_".join(part for part in label if isinstance(part, str) and part)
+    if not isinstance(label, str):
+        return ""
+    text = label.strip(" \t\ufeff")
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1]
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text).lower()
+    if re.fullmatch(r"\w_", text):  # s_, the state after s
+        return text
+    return re.sub(r"[\s\-./:\[\]()_]+", "_", text).strip("_") or text

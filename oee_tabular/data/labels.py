@@ -22,9 +22,10 @@ from oee_tabular.data.aliases import (
     OTHER_WORDS,
     Doubt,
     find_field,
+    plain,
     stem,
 )
-from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, is_absent, plain
+from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, is_absent
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import is_number_text
 from oee_tabular.typing import Column

@@ -7,7 +7,6 @@ the same bits.
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -15,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _parallel
+from oee_tabular._progress import progress_bar
 from oee_tabular.data.copies import Namesakes, Overlaps, refuse_same_bytes
 from oee_tabular.data.counting import (
     COUNTED,
@@ -163,15 +163,20 @@ def open_log(
         if output is not None:
             counted.save(output)
         return counted
-    from tqdm import tqdm
-
     files = find_log_files(path, warns=True)
     refuse_same_bytes(files)
     limits = limits._replace(has_others=len(files) > 1)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
-    is_quiet = not progress or sys.stderr is None
-    shown = tqdm(results, "counting", len(files), unit="file", disable=is_quiet)
+    shown = progress_bar(
+        "counting",
+        results,
+        total=len(files),
+        unit="file",
+        disable=not progress,
+        delay=0,
+        leave=True,
+    )
     result = _add_files(files, shown, limits)
     if output is not None:
         result.save(output)

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular.data.aliases import FIELDS, plain
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import Name, is_number_text, numbers_of, suggest_name, to_plain
 from oee_tabular.typing import Array, BoolArray, Column, IntArray, SupportsArray
@@ -408,27 +409,6 @@ HEADER_RULE = (
 )
 
 
-def plain(label: Any) -> str:
-    """Return a label in lower case, with one underscore for what parts its words.
-
-    The parts of a label that is a tuple are joined.
-
-    >>> plain("Next State"), plain("nextState"), plain("next.state"), plain("state[0]")
-    ('next_state', 'next_state', 'next_state', 'state_0')
-    """
-    if isinstance(label, tuple):
-        label = "_".join(part for part in label if isinstance(part, str) and part)
-    if not isinstance(label, str):
-        return ""
-    text = label.strip(" \t\ufeff")
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
-        text = text[1:-1]
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text).lower()
-    if re.fullmatch(r"\w_", text):  # s_, the state after s
-        return text
-    return re.sub(r"[\s\-./:\[\]()_]+", "_", text).strip("_") or text
-
-
 def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
     """Return the rows of raw columns that hold labels of the columns, or others' labels
     of the same columns.
@@ -442,9 +422,6 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
     One of them may be misspelt. A row is no header where another row holds one of its
     labels of states as well: states may be called s and s1.
     """
-    # that module needs this one
-    from oee_tabular.data.aliases import FIELDS
-
     none = np.zeros(0, dtype=np.int64)
     if not all(label in columns and columns[label].dtype.hasobject for label in MOVE):
         return none
@@ -454,12 +431,15 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
         text = plain(item[:100]) if isinstance(item, str) else ""
         if FIELDS.get(text) == label:
             return 1
+        if abs(len(text) - len(label)) > 2:  # which is known at once
+            return 0
         ratio = difflib.SequenceMatcher(None, text, label).ratio()
         return ratio if ratio > NEAR else 0
 
     rows = np.arange(len(columns["state"]))
     total = np.zeros(len(rows))
-    for label in MOVE:
+    # actions first: they have the fewest names, and no other row goes on
+    for label in sorted(MOVE):
         found = _for_each(partial(likeness, label=label), columns[label][rows].tolist())
         total = total + np.array(found, dtype=np.float64)
         is_kept = np.array(found, dtype=np.float64) > 0
