@@ -147,6 +147,8 @@ def open_table(file: LogFile, form: Any) -> Table:
         check_digest(file.path)
     header = read_parquet_header(file.path) if is_parquet else None
     labels = _plain_labels(header.stored) if header else read_labels(file.path)
+    if not labels:
+        raise ArgumentError(f"{file.path!r}", EMPTY_RULE)
     if not is_parquet and len(labels) > MAX_COLUMNS:
         raise ArgumentError(
             f"{file.path!r}",
@@ -676,9 +678,7 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
     elif mark == b"\xef\xbb\xbf":
         encoding = "utf-8-sig"
     lines = _csv_lines(path, encoding)
-    header = next(lines, None)
-    if header is None:
-        raise ArgumentError(f"{path!r}", EMPTY_RULE)
+    header = next(lines, Line(1, []))
     if header.problem:
         raise ArgumentError(f"{path!r}: line {header.number}", header.problem)
     return _plain_labels(header.fields), next(lines, header).fields, encoding

@@ -97,13 +97,19 @@ class Premises:
                 "tie and features must not be given together: they are two different"
                 " models"
             )
-        # before any work, and before the box is put in words
-        if self.lower_ratio is not None:
-            _checks.number_in(self.lower_ratio, "lower_ratio", 0.0, 1.0)
-        if self.upper_ratio is not None:
-            _checks.number_in(
-                self.upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True
-            )
+        # before any work; a number is kept as a float, which can be put in words
+        limits = {
+            "lower_ratio": (0.0, 1.0),
+            "upper_ratio": (1.0, np.inf),
+            "unrecorded": (1.0, np.inf),
+        }
+        for name, (low, high) in limits.items():
+            given = getattr(self, name)
+            if given is not None:
+                number = _checks.number_in(
+                    given, name, low, high, infinite=np.isinf(high)
+                )
+                object.__setattr__(self, name, number)
 
     @property
     def has_box(self) -> bool:

@@ -134,7 +134,7 @@ FILES = {
         "state_0,action,next_state_0\n1,0,2\n,0,2\n",
         r"state_0\[1\] must have a value; it has none",
     ),
-    "no table": ("", "must have the columns state_0"),
+    "no table": ("", "must have a header; the file is empty"),
     "words": (
         "state_0,action,next_state_0\nx,0,2\n",
         r"state_0\[0\] must be a number; it is .x.",

@@ -145,7 +145,7 @@ def test_numbers_of_a_csv(tmp_path, text, rewards):
         ("0,1,2,0.5,Falsely", r"terminated\[1\] must be a boolean .*; it is 'Falsely'"),
         ("0x1,1,2,1,False", r"state\[1\] must be an integer; it is '0x1'"),
         ("0,1,1_0,1,False", r"next_state\[1\] must be an integer; it is 1_0"),
-        ("0,1,2,1_0,False", r"reward\[1\] must be finite; it is 1_0"),
+        ("0,1,2,1_0,False", r"reward\[1\] must be a number; it is 1_0"),
         ("0,1,9223372036854775808,1,False", r"next_state\[1\] must be"),
         (
             '0,1,2,"0,5",False',

@@ -7,6 +7,8 @@ import io
 import json
 import math
 import re
+from decimal import Decimal
+from fractions import Fraction
 from functools import partial
 from statistics import NormalDist
 
@@ -568,3 +570,13 @@ def test_a_value_within_rounding_of_an_end_becomes_the_end(value):
     found = uncertainty.choose_interval(estimate, sure, 0.95)
     assert found.value == value
     assert found.interval == (min(0.0, value), max(1.0, value))
+
+
+@pytest.mark.parametrize("half", [Fraction(1, 2), Decimal("0.5"), np.float16(0.5)])
+def test_what_is_known_is_kept_as_floats(half):
+    known = uncertainty.Premises(
+        lower_ratio=half, upper_ratio=2 * half + 1, unrecorded=4 * half
+    )
+    assert [known.lower_ratio, known.upper_ratio, known.unrecorded] == [0.5, 2.0, 2.0]
+    assert {type(known.lower_ratio), type(known.upper_ratio)} == {float}
+    assert str(known) == str(uncertainty.Premises(0.5, 2.0))
