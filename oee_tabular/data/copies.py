@@ -1,8 +1,8 @@
 """Files of one log that hold the same transitions, which would count twice.
 
 Two files of the same bytes, or of one name in two formats with the same rows, are an
-error. Of two files that follow each other, the same run of rows is warned of: exports
-that overlap. The rows are compared by windows of ``N_WINDOW`` rows that stand once in
+error. Of two files, the same run of rows is warned of: exports that overlap, or copies
+in another form. The rows are compared by windows of ``N_WINDOW`` rows that stand once in
 each of the two files. Runs may be the same by chance, as where little is random: p(row)
 being the share of a row among those of its state in both files, the warning takes ::
 
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,6 +30,10 @@ N_WINDOW = 20  # rows that are compared at once; fewer may well be the same
 N_TOLD = 4  # rows of equal files from which on there is a warning
 MIN_BITS = 40.0  # a chance of 1e-12
 N_ROWS = 2**14  # at each end of a file, which are compared
+N_KEPT_ROWS = 2**22  # of the files before one, in 64 MB
+N_SAMPLED = 256  # windows of a file, all of which are looked for in the files before it
+SAMPLED_ONE_OF = 64  # of more windows
+N_COMPARED = 3  # files that share most of the windows looked for, and the one before
 N_GROUPED_ROWS = 2**12  # of a file whose other rows are not read one by one
 BLOCK_BYTES = 2**20
 ENDINGS = (".csv.gz", ".csv", ".parquet", ".npz")
@@ -165,6 +169,11 @@ class Print(NamedTuple):
     rows: tuple[Hashes, ...]
     states: tuple[Hashes, ...]
 
+    @property
+    def n_rows(self) -> int:
+        """Return how many rows are held."""
+        return sum(map(len, self.rows))
+
 
 class EndRows:
     """Keep the first and the last ``N_ROWS`` rows of a file that is read in pieces."""
@@ -272,6 +281,15 @@ def _hash_windows(rows: Hashes) -> Hashes:
     return total
 
 
+def _sample_windows(rows: Print) -> list[int]:
+    """Return some of a file's windows, chosen by their hash, as in any other file."""
+    windows = np.concatenate([_hash_windows(end) for end in rows.rows])
+    if len(windows) > N_SAMPLED:
+        windows = windows[windows % np.uint64(SAMPLED_ONE_OF) == 0]
+    found: list[int] = windows.tolist()
+    return found
+
+
 def find_shared_rows(one: Print, other: Print) -> int:
     """Count the rows of both that are copies; 0 where they may agree by chance."""
     windows = [
@@ -304,22 +322,49 @@ def find_shared_rows(one: Print, other: Print) -> int:
 
 
 class Overlaps:
-    """Find files that repeat rows of the file before them, and warn of them."""
+    """Find files that repeat rows of files before them, and warn of them.
+
+    A file is compared with the one before it, and with those of the files before that
+    share some of its windows, of which each file has a sample. Of many large files only
+    the last ones are kept.
+    """
 
     def __init__(self) -> None:
-        self.last: tuple[str, Print] | None = None
+        self.kept: dict[str, Print] = {}
+        self.n_kept_rows = 0
+        self.owner: dict[int, str] = {}  # the first file of each sampled window
         self.found: list[tuple[str, str, int]] = []
 
     def add(self, path: str, rows: Print | None) -> None:
-        """Compare a file with the one before it."""
+        """Compare a file with those before it that may share rows with it."""
         if rows is None:
             return
-        if self.last is not None:
-            other, before = self.last
-            n_shared = find_shared_rows(before, rows)
+        sample = _sample_windows(rows)
+        owners = Counter(self.owner[w] for w in sample if w in self.owner)
+        likely = [other for other, _ in owners.most_common(N_COMPARED)]
+        before = next(reversed(self.kept), None)
+        if before is not None and before not in likely:
+            likely.append(before)
+        for other in likely:
+            n_shared = find_shared_rows(self.kept[other], rows)
             if n_shared:
                 self.found.append((other, path, n_shared))
-        self.last = (path, rows)
+                break
+        self._keep(path, rows, sample)
+
+    def _keep(self, path: str, rows: Print, sample: list[int]) -> None:
+        """Keep a file for those to come, and forget the first ones of too many."""
+        self.kept[path] = rows
+        self.n_kept_rows += rows.n_rows
+        for window in sample:
+            self.owner.setdefault(window, path)
+        is_full = False
+        while self.n_kept_rows > N_KEPT_ROWS and len(self.kept) > 1:
+            first = next(iter(self.kept))
+            self.n_kept_rows -= self.kept.pop(first).n_rows
+            is_full = True
+        if is_full:
+            self.owner = {w: one for w, one in self.owner.items() if one in self.kept}
 
     def warn(self) -> None:
         """Warn of the files that share rows, with the first of them."""

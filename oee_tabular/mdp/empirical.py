@@ -31,6 +31,9 @@ from oee_tabular.mdp.naming import (
 )
 from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
+# of 8 bytes each, that a model has for a pair without data
+NUMBERS_PER_PAIR = 6.0
+
 
 class Sampling(NamedTuple):
     """Hold the numbers of samples that an MDP of frequencies rests on.
@@ -98,6 +101,8 @@ def log_arguments(
     n_actions, actions, (action,) = _resolve(
         log, "action", ("action",), sizes[1], names[1]
     )
+    given = ("n_actions", n_actions) if n_actions > n_states else ("n_states", n_states)
+    _checks.require_memory(NUMBERS_PER_PAIR * n_states * n_actions, *given)
     reward = _log_rewards(log, rewards)
     outcomes = Outcomes(
         state,

@@ -106,6 +106,40 @@ def test_files_that_overlap_are_warned_of(tmp_path, read, ending, n_shared):
 
 
 @pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("n", [240, 3000])
+@pytest.mark.parametrize(
+    ("form", "share"),
+    [
+        (lambda frame: frame[frame.columns[::-1]], 1.0),
+        (lambda frame: frame[: len(frame) // 2], 0.5),
+        (lambda frame: frame[len(frame) // 3 :].reset_index(drop=True), 2.0 / 3.0),
+        (lambda frame: frame.assign(note="again"), 1.0),
+    ],
+    ids=["other order", "first half", "without a third", "one more column"],
+)
+@pytest.mark.filterwarnings("ignore:.* left out")
+def test_a_copy_in_another_form_among_many_files(tmp_path, read, n, form, share):
+    """The copy is neither of the same bytes nor beside its original."""
+    for k in range(7):
+        write(frame_of(n, k, has_episodes=False), tmp_path / f"run_{k}.csv")
+    copy = form(frame_of(n, 2, has_episodes=False))
+    write(copy, tmp_path / "run_9.csv")
+    words = f"^{round(share * n)} rows stand in .*run_2.* and in .*run_9"
+    with pytest.warns(DataWarning, match=words):
+        read(tmp_path)
+
+
+def test_of_many_large_files_the_last_ones_are_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr("oee_tabular.data.copies.N_KEPT_ROWS", 700)
+    for k in range(6):
+        write(frame_of(200, k, has_episodes=False), tmp_path / f"run_{k}.csv")
+    last = frame_of(200, 4, has_episodes=False)
+    write(last[last.columns[::-1]], tmp_path / "run_7.csv")
+    with pytest.warns(DataWarning, match="200 rows stand in .*run_4.* and in .*run_7"):
+        Transitions.load(tmp_path)
+
+
+@pytest.mark.parametrize("read", READERS)
 def test_what_is_never_random_is_no_overlap(tmp_path, read):
     """Runs of a machine that always does the same: 50 steps round a circle."""
     state = np.arange(50)
