@@ -436,9 +436,12 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
         ratio = difflib.SequenceMatcher(None, text, label).ratio()
         return ratio if ratio > NEAR else 0
 
+    # nearly all logs have no action of such a name, which takes one look at each name
+    names_of_actions = set(columns["action"].tolist())
+    if not any(likeness(name, "action") for name in names_of_actions):
+        return none
     rows = np.arange(len(columns["state"]))
     total = np.zeros(len(rows))
-    # actions first: they have the fewest names, and no other row goes on
     for label in sorted(MOVE):
         found = _for_each(partial(likeness, label=label), columns[label][rows].tolist())
         total = total + np.array(found, dtype=np.float64)
