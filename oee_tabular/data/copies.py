@@ -332,7 +332,8 @@ class Overlaps:
     def __init__(self) -> None:
         self.kept: dict[str, Print] = {}
         self.n_kept_rows = 0
-        self.owner: dict[int, str] = {}  # the first file of each sampled window
+        # the last file of each sampled window, which is the last to be forgotten
+        self.owner: dict[int, str] = {}
         self.found: list[tuple[str, str, int]] = []
 
     def add(self, path: str, rows: Print | None) -> None:
@@ -356,8 +357,7 @@ class Overlaps:
         """Keep a file for those to come, and forget the first ones of too many."""
         self.kept[path] = rows
         self.n_kept_rows += rows.n_rows
-        for window in sample:
-            self.owner.setdefault(window, path)
+        self.owner.update(dict.fromkeys(sample, path))
         is_full = False
         while self.n_kept_rows > N_KEPT_ROWS and len(self.kept) > 1:
             first = next(iter(self.kept))

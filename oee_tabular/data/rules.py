@@ -410,9 +410,7 @@ HEADER_RULE = (
 
 
 def find_headers(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
-    """Return the rows of raw columns that hold labels of the columns, or others' labels
-    of the same columns.
-    """
+    """Return the rows that hold labels of the columns, own ones or other projects'."""
     return np.union1d(_find_own_labels(columns, labels), _find_other_labels(columns))
 
 
@@ -437,16 +435,18 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
         return ratio if ratio > NEAR else 0
 
     # nearly all logs have no action of such a name, which takes one look at each name
-    names_of_actions = set(columns["action"].tolist())
+    actions = columns["action"].tolist()
+    names_of_actions = {item for item in actions if isinstance(item, str)}
     if not any(likeness(name, "action") for name in names_of_actions):
         return none
     rows = np.arange(len(columns["state"]))
     total = np.zeros(len(rows))
     for label in sorted(MOVE):
-        found = _for_each(partial(likeness, label=label), columns[label][rows].tolist())
-        total = total + np.array(found, dtype=np.float64)
-        is_kept = np.array(found, dtype=np.float64) > 0
-        rows, total = rows[is_kept], total[is_kept]
+        values = columns[label][rows].tolist()
+        found = np.array(_for_each(partial(likeness, label=label), values), dtype=float)
+        is_kept = found > 0
+        rows = rows[is_kept]
+        total = total[is_kept] + found[is_kept]
     rows = rows[total > len(MOVE) - 1 + NEAR]
     if not rows.size:
         return none

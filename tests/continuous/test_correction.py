@@ -192,17 +192,10 @@ def test_what_history_explains_is_no_effect_below_the_least():
         assert (effect.r_squared > 0.5) == (effect.part > 0.0) == is_effect
 
 
-def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
-    """Half of the residual is the last action's, the rest noise, of which a row tells
-    nothing to itself.
-    """
-    log = line_log(Line(noise=0.1), 4000)
-    last = earlier_rows(log, 1)[:, 0]
-    residual = np.where(
-        last >= 0, 2.0 * log.action[last] - 1.0, 0.0
-    ) + np.random.default_rng(0).normal(size=4000)
-    every = np.ones(4000, dtype=np.bool_)
-    effect = history_effects(
+def effect_on_line(log, residual):
+    """What history explains of a residual of the line, where every row counts."""
+    every = np.ones(len(log), dtype=np.bool_)
+    return history_effects(
         Line(),
         log,
         log.action,
@@ -212,6 +205,18 @@ def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
         is_free=every,
         least=np.zeros(1),
     )[0]
+
+
+def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
+    """Half of the residual is the last action's, the rest noise, of which a row tells
+    nothing to itself.
+    """
+    log = line_log(Line(noise=0.1), 4000)
+    last = earlier_rows(log, 1)[:, 0]
+    residual = np.where(
+        last >= 0, 2.0 * log.action[last] - 1.0, 0.0
+    ) + np.random.default_rng(0).normal(size=4000)
+    effect = effect_on_line(log, residual)
     assert (effect.lag, effect.of) == (1, "action")
     assert_allclose(effect.r_squared, 0.5, atol=0.03)
     # 1 and -1, in the residual's unit
@@ -223,19 +228,10 @@ def test_history_is_no_larger_for_what_the_state_explains():
     log = line_log(Line(noise=0.1), 4000)
     last = earlier_rows(log, 1)[:, 0]
     of_history = np.where(last >= 0, 0.2 * (2.0 * log.action[last] - 1.0), 0.0)
-    every = np.ones(4000, dtype=np.bool_)
     parts = []
     for of_state in (0.0, 2.0):
-        effect = history_effects(
-            Line(),
-            log,
-            log.action,
-            (of_state * np.sin(log.state[:, 0]) + of_history)[:, None],
-            log.episode % 40,
-            is_smooth=every,
-            is_free=every,
-            least=np.zeros(1),
-        )[0]
+        of_all = of_state * np.sin(log.state[:, 0]) + of_history
+        effect = effect_on_line(log, of_all)
         assert (effect.lag, effect.of) == (1, "action")
         parts.append(effect.part)
     assert_allclose(parts, 0.2, atol=0.03)

@@ -563,3 +563,13 @@ def test_a_name_that_is_none_is_named_with_its_row(tmp_path):
             )
             with pytest.raises(ValueError, match=rf"{column}\[2\]"):
                 Transitions.load(path)
+
+
+@pytest.mark.parametrize("odd", [[1, 2], {"a": 1}, {3}, np.array([1, 2])], ids=repr)
+def test_values_that_cannot_be_hashed_are_refused_by_place(odd):
+    column = np.array(["go", None], dtype=object)
+    column[1] = odd
+    frame = pd.DataFrame({"state": ["a", "b"], "action": column})
+    frame = frame.assign(next_state=["b", "a"])
+    with pytest.raises(ValueError, match="action"):
+        Transitions.from_frame(frame)
