@@ -32,6 +32,7 @@ from oee_tabular.data.rules import (
     MOVE,
     NO_NAMES,
     check_table,
+    for_each,
     is_missing,
     settle_episodes,
 )
@@ -379,8 +380,10 @@ def number_in_order(
     The numbers follow those that ``first`` has.
     """
     number = {} if first is None else first
-    codes = [number.setdefault(item, len(number)) for item in items]
-    return np.array(codes, dtype=np.int64), number
+    for item in dict.fromkeys(items):
+        number.setdefault(item, len(number))
+    codes = map(number.__getitem__, items)
+    return np.fromiter(codes, dtype=np.int64, count=len(items)), number
 
 
 def encode_names(
@@ -434,7 +437,7 @@ def _names_in(value: object, name: str) -> list[Any] | None:
     is_sequence = bool(items) and isinstance(items[0], list | np.ndarray)
     if not items or (is_sequence and array is value) or not is_name(to_plain(items[0])):
         return None
-    names = [normalize(item) if type(item) is str else to_plain(item) for item in items]
+    names = for_each(_composed, items)
     try:
         distinct = dict.fromkeys(names)
     except TypeError as error:
@@ -449,6 +452,11 @@ def _names_in(value: object, name: str) -> list[Any] | None:
             f"must be a name, as others of the column are; it is {odd[0]!r:.80}",
         )
     return names
+
+
+def _composed(item: Any) -> Any:
+    """Return a text in its composed form, and any other item as plain Python's."""
+    return normalize(item) if type(item) is str else to_plain(item)
 
 
 def _is_column_name(item: Any) -> bool:

@@ -242,15 +242,22 @@ def to_numbers(raw: Column) -> Column:
     """Return numbers; a text becomes the number that it writes, or nan."""
     if raw.dtype.kind in "iuf":
         return raw
-    numbers = np.array(_for_each(_parse_number, raw.tolist()))
+    numbers = np.array(for_each(_parse_number, raw.tolist()))
     # integers beyond 64 bits are objects
     if numbers.dtype.hasobject or not numbers.size:
         return numbers.astype(np.float64)
     return numbers
 
 
-def _for_each(function: Callable[[Any], Any], items: list[Any]) -> list[Any]:
-    """Apply a function to each item, once for equal texts."""
+def for_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """Apply a function to each item, once for equal texts.
+
+    A column of a million texts has few distinct ones, and a table of these is read by
+    ``map`` without a step of Python for each item.
+    """
+    if set(map(type, items)) == {str}:
+        results = {text: function(text) for text in dict.fromkeys(items)}
+        return list(map(results.__getitem__, items))
     known: dict[str, Any] = {}
     found = []
     for item in items:
@@ -443,7 +450,7 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
     total = np.zeros(len(rows))
     for label in sorted(MOVE):
         values = columns[label][rows].tolist()
-        found = np.array(_for_each(partial(likeness, label=label), values), dtype=float)
+        found = np.array(for_each(partial(likeness, label=label), values), dtype=float)
         is_kept = found > 0
         rows = rows[is_kept]
         total = total[is_kept] + found[is_kept]
@@ -471,7 +478,7 @@ def _find_own_labels(columns: Mapping[str, Column], labels: Sequence[str]) -> In
         return isinstance(item, str) and plain(item[:100]) in words
 
     first, *others = columns.values()
-    rows = np.flatnonzero(np.array(_for_each(is_label, first.tolist()), dtype=np.bool_))
+    rows = np.flatnonzero(np.array(for_each(is_label, first.tolist()), dtype=np.bool_))
     for column in others:
         rows = np.array([row for row in rows if is_label(column[row])], dtype=np.int64)
     return rows
@@ -519,7 +526,9 @@ def check_column(
         return _check_episodes(raw)
     # truth values are texts, as in CSV
     if kind != "booleans" and raw.dtype.kind in "bO":
-        raw = as_objects([_flag_as_text(item) for item in raw.tolist()])
+        items = raw.tolist()
+        if not {bool, np.bool_}.isdisjoint(map(type, items)):
+            raw = as_objects([_flag_as_text(item) for item in items])
     if names is not None and raw.dtype.hasobject:
         return _check_names(raw, label, high, names, own)
     if kind == "integers":
@@ -546,7 +555,7 @@ def _check_episodes(raw: Column) -> tuple[Column, Fault | None]:
             raw.astype(np.int64) if raw.dtype.kind == "b" else raw, "episode", 2**63
         )
     items = raw.tolist()
-    found = _for_each(parse_episode, items)
+    found = for_each(parse_episode, items)
     bad = np.array([item is None for item in found], dtype=np.bool_)
     is_large = bad.copy()
     is_large[bad] = [abs(_parse_number(items[k])) >= 2**63 for k in np.flatnonzero(bad)]
@@ -654,7 +663,7 @@ def _find_absent(raw: Column) -> BoolArray:
     """Return for each value whether it is missing."""
     if raw.dtype.kind == "f":
         return np.isnan(raw)
-    return np.array(_for_each(is_absent, raw.tolist()), dtype=np.bool_)
+    return np.array(for_each(is_absent, raw.tolist()), dtype=np.bool_)
 
 
 def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
@@ -665,7 +674,7 @@ def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
         flags = raw == 1
         bad = (raw != 0) & (raw != 1)
     else:
-        known = _for_each(parse_flag, raw.tolist())
+        known = for_each(parse_flag, raw.tolist())
         flags = np.array([flag is True for flag in known], dtype=np.bool_)
         bad = np.array([flag is None for flag in known], dtype=np.bool_)
     return flags, find_fault(label, raw, {"must be a boolean (or 0 or 1)": bad})
@@ -694,11 +703,11 @@ def _check_names(
     ``check_column``.
     """
     known = numbers_of(names) if names else own
-    raw = as_objects(_for_each(_plain_name, raw.tolist()))
+    raw = as_objects(for_each(_plain_name, raw.tolist()))
     is_none = np.array(
-        _for_each(lambda item: is_absent(item, known), raw.tolist()), dtype=np.bool_
+        for_each(lambda item: is_absent(item, known), raw.tolist()), dtype=np.bool_
     )
-    is_named = np.array(_for_each(_is_no_number, raw.tolist()), dtype=np.bool_)
+    is_named = np.array(for_each(_is_no_number, raw.tolist()), dtype=np.bool_)
     is_named &= ~is_none
     n_named = int(is_named.sum())
     if n_named == 0:
@@ -736,7 +745,7 @@ def _match_names(
 ) -> tuple[Column, Fault | None]:
     """Return names as their numbers; numbers as texts are none of them."""
     known = numbers_of(names)
-    found = _for_each(lambda item: known.get(str(item), -1), raw.tolist())
+    found = for_each(lambda item: known.get(str(item), -1), raw.tolist())
     numbers = np.array(found, dtype=np.int64)
     rules = {
         MUST_HAVE: missing,
