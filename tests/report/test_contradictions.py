@@ -10,8 +10,8 @@ from helpers import random_mdp, random_policy
 
 import oee_tabular as oee
 
-N_REPORTS = 500
-N_PARTS = 10
+N_REPORTS = 240
+N_PARTS = 6
 
 
 def draw(rng):
