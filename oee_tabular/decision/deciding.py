@@ -235,8 +235,8 @@ def _bound(
     """Bound all gains, those thoroughly that might be the best.
 
     A thorough search can only lower a rough end. So it is made for the one whose end is
-    largest, until this one is thorough. Ends are lowered by the ``optimism`` of those
-    that the log made.
+    largest, until this one is thorough, and for the one that is chosen where no end is
+    above 0. Ends are lowered by the ``optimism`` of those that the log made.
     """
     lower: dict[str, float] = {}
     for k, (name, gain) in enumerate(gains.items()):
@@ -245,23 +245,33 @@ def _bound(
         if name not in from_counts:
             lower[name] = gain.rough - _optimism_of(gain, name, optimism)
     is_thorough = set(from_counts)
+
+    def search(name: str) -> None:
+        """Lower the end of a candidate by a thorough search."""
+        _progress.report_step(f"the worst case of “{name}”")
+        is_thorough.add(name)
+        end = gains[name].lower - _optimism_of(gains[name], name, optimism)
+        lower[name] = min(lower[name], end)
+
     while True:
         first = max(lower, key=lambda name: _order(lower[name]))
         if first in is_thorough:
             break
-        _progress.report_step(f"the worst case of “{first}”")
-        is_thorough.add(first)
-        end = gains[first].lower - _optimism_of(gains[first], first, optimism)
-        lower[first] = min(lower[first], end)
-    found = []
-    for name, gain in gains.items():
+        search(first)
+
+    def describe(name: str, gain: Gain) -> Candidate:
+        """Return a candidate by what is known of its gain."""
         # no value stands outside of its interval
         point = gain.point
         if lower[name] > point:
             point = lower[name]
         less = _optimism_of(gain, name, optimism)
-        found.append(Candidate(name, gain.policy, point, lower[name], less))
-    return found
+        return Candidate(name, gain.policy, point, lower[name], less)
+
+    chosen = _choose([describe(name, gain) for name, gain in gains.items()]).name
+    if chosen not in is_thorough:
+        search(chosen)
+    return [describe(name, gain) for name, gain in gains.items()]
 
 
 def _optimism_of(gain: Gain, name: str, optimism: Mapping[str, float]) -> float:

@@ -74,6 +74,8 @@ STEPS_PER_INFINITE_VALUE = 15
 # of the distance between end and maximum-likelihood value, by which the last iterations
 # may move an end
 END_TOLERANCE = 3e-8
+# the same of a rough end in a small problem: it chooses what is searched thoroughly
+ROUGH_TOLERANCE = 1e-4
 # the same for each ascent, before the best of them are continued
 SCOUT_TOLERANCE = 1e-3
 # of that distance: an ascent that is farther behind the best one then is left; of 1368
@@ -81,6 +83,8 @@ SCOUT_TOLERANCE = 1e-3
 CONTENDING_SHARE = 0.02
 # of a probability: ascents whose rows differ by less lead to one end
 SAME_ROWS = 0.02
+# the same of rows at which ascents go on, which have a way before them
+SAME_SCOUTS = 1e-3
 # of the residual that V and d of the previous rows leave in the equations of new rows:
 # what a solve may leave of it in large problems
 WARM_SOLVE_TOLERANCE = 1e-3
@@ -505,7 +509,7 @@ class Search:
 
         Each ascent is run until it is known which ones are the farthest; these go on.
         The ends of a gain in a small problem are then changed row by row, unless
-        ``is_rough``, which begins from few directions as well.
+        ``is_rough``, which begins from few directions and stops earlier as well.
         """
         drawn = self.drawn[:MAX_ROUGH_DIRECTIONS] if is_rough else self.drawn
         is_final = True
@@ -519,6 +523,10 @@ class Search:
             found.append(ascent)
         found.sort(key=by(-sign))
         ends: list[Ascent] = []
+        tolerance = END_TOLERANCE
+        if is_rough and not self.is_large:
+            tolerance = ROUGH_TOLERANCE
+        begun: list[Array] = []  # the rows from which ascents went on to their ends
         is_changed = self.minus is not None and not self.is_large and not is_rough
         # in the smallest problems all of them are changed
         contending = CONTENDING_SHARE
@@ -530,9 +538,14 @@ class Search:
             is_known = any(
                 float(np.abs(ascent.p - other.p).max()) <= SAME_ROWS for other in ends
             )
+            # many directions lead to the same rows, from which there is one way on
+            is_known |= any(
+                float(np.abs(ascent.p - p).max()) <= SAME_SCOUTS for p in begun
+            )
             if ends and (behind > distance or is_known or self.is_large):
                 continue
-            is_final &= _ascend(self.rows, ascent, END_TOLERANCE, watch)
+            begun.append(ascent.p)
+            is_final &= _ascend(self.rows, ascent, tolerance, watch)
             if np.isinf(contending):
                 self._change_rows(ascent, watch)
             ends.append(ascent)
