@@ -32,8 +32,9 @@ class Candidate:
         Its estimated gain, in the unit of J; nan where the default has no value.
     gain_lower : float
         The lower end of the gain; nan for a policy that was made from the log's own
-        counts. Where it is not the best candidate's, the search for it was short, and
-        a longer one may find a lower end.
+        counts. The search for it is thorough for the candidate that the decision names
+        and for those that might have the largest end. Other ends are from a short
+        search, and a longer one may find a lower end.
     optimism : float
         What the lower end was lowered by, at least 0: how much better a policy that the
         log made looks in that log, by its halves. 0 for your own candidates.
