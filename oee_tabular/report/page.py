@@ -13,6 +13,7 @@ import os
 import platform
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -29,6 +30,7 @@ from oee_tabular.estimators.names import NAMED
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import draw_or_warn
 from oee_tabular.report import columns, text
+from oee_tabular.report.content import explain_intervals
 from oee_tabular.report.files import plain
 from oee_tabular.report.portrait import (
     MAX_POLICIES,
@@ -118,7 +120,7 @@ def render(
         diagnostics=columns.estimator_columns(report.content, columns.DIAGNOSTICS),
         versions=_versions(),
         estimators=NAMED,
-        methods=text.METHODS,
+        meanings=_explain_lines(report),
         columns=_meanings(report),
     )
     return legible(page) + "\n"
@@ -129,6 +131,27 @@ def _meanings(report: Report) -> dict[str, str]:
     shown = columns.estimator_columns(report.content, columns.DIAGNOSTICS)
     every = [columns.P_BEST_COLUMN, *shown]
     return {column.title: column.meaning for column in every if column.meaning}
+
+
+def _explain_lines(report: Report) -> list[tuple[str, str]]:
+    """Return each kind of interval of the page with its meaning.
+
+    The rows of a method are named where it has several meanings.
+    """
+    lines = [
+        line for answer in report.answers for line in list_lines(report, answer.policy)
+    ]
+    kinds = [
+        kind for kind in explain_intervals(report, lines) if kind[0] in text.METHODS
+    ]
+    times = Counter(method for method, _, _ in kinds)
+    return [
+        (
+            f"{method} ({', '.join(rows)})" if times[method] > 1 else method,
+            f"{meaning[0].upper()}{meaning[1:]}",
+        )
+        for method, meaning, rows in kinds
+    ]
 
 
 def legible(words: object) -> str:

@@ -19,6 +19,7 @@ from oee_tabular.plots import draw_or_warn, figure_files, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.content import (
     Content,
+    explain_intervals,
     gather_content,
     make_answers,
     make_comparison,
@@ -381,7 +382,9 @@ class Report:
         ]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """Explain the intervals of the table, one sentence for each method.
+        """Explain the intervals of the table, one sentence for each kind.
+
+        Rows of one method whose intervals were made otherwise have a sentence each.
 
         Parameters
         ----------
@@ -391,26 +394,24 @@ class Report:
         Returns
         -------
         list of str
-            A sentence for each method, with the estimators whose interval it is.
+            A sentence for each kind, with the estimators whose interval it is. The
+            policies stand beside them where the same estimator's intervals differ.
 
         Raises
         ------
         ValueError
             If ``rows`` are not records of a report.
         """
-        members: dict[str, dict[str, None]] = {}
         needed = {"interval_method", "estimator"}
-        for row in _checks.collection(rows, "rows", "a Report's records()"):
+        given = _checks.collection(rows, "rows", "a Report's records()")
+        for row in given:
             if not isinstance(row, Mapping) or not row.keys() >= needed:
                 raise ArgumentError(
                     "rows", f"must be a Report's records(); one is {_checks.show(row)}"
                 )
-            if row["interval_method"] is not None:
-                estimators = members.setdefault(str(row["interval_method"]), {})
-                estimators[str(row["estimator"])] = None
         return [
-            text.legend(method, list(names), self.confidence)
-            for method, names in members.items()
+            text.legend(method, names, self.confidence, meaning)
+            for method, meaning, names in explain_intervals(self, given)
         ]
 
     def to_dict(self) -> dict[str, Any]:
