@@ -14,6 +14,7 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.evaluation_options import Asked
 from oee_tabular.cli.inputs import (
     count_log_files,
+    describe_default_discount,
     policies_of,
     read_box,
     read_columns,
@@ -22,6 +23,7 @@ from oee_tabular.cli.inputs import (
     read_success,
     task_of,
 )
+from oee_tabular.cli.options import remark
 from oee_tabular.continuous import (
     evaluate_files,
     is_continuous,
@@ -33,6 +35,7 @@ from oee_tabular.exceptions import ArgumentError
 if TYPE_CHECKING:
     from oee_tabular.report import Report
 
+CONTINUOUS_DISCOUNT = 0.99  # of a continuous task where --discount gives none
 # what these options are when they are not given
 DEFAULTS = (None, 0.0, "refuse", "simulator")
 
@@ -114,6 +117,8 @@ def _evaluate_continuous(
         "must be left out for a continuous task, whose states have no numbers; it"
         " is {}",
     )
+    if asked.discount is None:
+        remark(describe_default_discount(CONTINUOUS_DISCOUNT))
     return evaluate_files(
         simulator,
         log,
@@ -124,7 +129,7 @@ def _evaluate_continuous(
         grid=cells,
         columns=read_columns(asked.column, log),
         horizon=asked.horizon,
-        discount=0.99 if asked.discount is None else asked.discount,
+        discount=CONTINUOUS_DISCOUNT if asked.discount is None else asked.discount,
         **common,
     )
 

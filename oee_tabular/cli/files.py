@@ -14,7 +14,15 @@ import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
 from oee_tabular._progress import is_terminal
-from oee_tabular.cli.inputs import policy_of, read_columns, task_of, write_array
+from oee_tabular.cli.inputs import (
+    describe_default_discount,
+    has_default_discount,
+    policy_of,
+    read_columns,
+    task_of,
+    tell_default_discount,
+    write_array,
+)
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
@@ -30,6 +38,7 @@ from oee_tabular.cli.options import (
     SeedOption,
     SimulatorArgument,
     print_result,
+    remark,
 )
 from oee_tabular.cli.simulators import is_table, read_simulator
 from oee_tabular.continuous import is_continuous, record_log, task_options
@@ -235,7 +244,9 @@ def policy(
 ) -> None:
     """Write a policy of a simulator to a file."""
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npy",))
-    table = policy_of(spec, task_of(simulator, discount), "policy")
+    task = task_of(simulator, discount)
+    table = policy_of(spec, task, "policy")
+    tell_default_discount(simulator, discount, task)
     n_states, n_actions = table.shape
     text = f"{output}: policy of {n_states} states and {n_actions} actions"
     with file.writing():
@@ -282,6 +293,7 @@ def export(
     endings = oee.tasks.MDP_ENDINGS
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
     discretization: Any = None
+    task = None
     if is_table(simulator):
         if samples_per_pair is not None:
             raise ArgumentError(
@@ -313,7 +325,13 @@ def export(
         "actions": mdp.n_actions,
         "transitions": mdp.transitions.nnz,
     }
-    print_result(f"{output}: {saved!r}", record, as_json)
+    text = f"{output}: {saved!r}"
+    if has_default_discount(simulator, discount, task):
+        default = describe_default_discount(mdp.discount)
+        if as_json:
+            remark(default)
+        text += f"\n{default}"
+    print_result(text, record, as_json)
 
 
 def counts(

@@ -29,6 +29,7 @@ from oee_tabular._arguments import (
     own_object,
     whole_number,
 )
+from oee_tabular.cli.options import remark
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
 
@@ -83,6 +84,34 @@ def task_of(
     is_number = is_whole_number(initial)
     start = whole_number(initial, "--initial") if is_number else initial
     return replace(task, mdp=task.mdp.with_initial(start))
+
+
+def has_default_discount(
+    spec: str, discount: float | None, task: oee.tasks.NamedTask | None
+) -> bool:
+    """Say whether nobody chose a simulator's discount.
+
+    A table has none (``task`` is None), and neither has an environment; saved MDPs and
+    tasks of the package have their own.
+    """
+    if discount is not None or "discount=" in spec.replace(" ", ""):
+        return False
+    if task is None:
+        return True
+    return task.environment is not None or task.continuous is not None
+
+
+def describe_default_discount(value: float) -> str:
+    """Say that a discount is the default."""
+    return f"discount {value:g} (the default; --discount sets it)"
+
+
+def tell_default_discount(
+    spec: str, discount: float | None, task: oee.tasks.NamedTask
+) -> None:
+    """Have it said on stderr which discount a simulator gets that has none."""
+    if has_default_discount(spec, discount, task):
+        remark(describe_default_discount(task.mdp.discount))
 
 
 def is_own(spec: str) -> bool:
@@ -337,6 +366,8 @@ def read_problem(
         log.
     """
     task = task_of(simulator, discount, initial)
+    if not success:  # whose discount is 1
+        tell_default_discount(simulator, discount, task)
     if action_noise:
         task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
     if success:

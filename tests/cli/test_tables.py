@@ -164,3 +164,26 @@ def test_folders_by_an_action_of_another_name(tmp_path):
     for read in (oee.Transitions.load, oee.Transitions.open):
         with pytest.raises(ValueError, match="folders by cmd part the rows of an"):
             read(tmp_path, columns={"action": "cmd", "timestep": None})
+
+
+def test_a_discount_that_nobody_chose_is_said(folder, run, capsys):
+    """On stdout by export, by others on stderr; not one that the simulator has."""
+    from oee_tabular.cli import main
+
+    said = "discount 0.99 (the default; --discount sets it)\n"
+    assert run("export log.csv --output s.npz").endswith(said)
+    assert said not in run("export log.csv --discount 0.99 --output t.npz")
+    assert said not in run("export sim.npz --output u.npz")
+    run("sample FrozenLake-v1 --transitions 300 --output lake.npz")
+    evaluate = "evaluate --log lake.npz --policy uniform --quick --simulator"
+    for words, is_said in (
+        ("export log.csv --output v.npz --json", True),
+        ("policy FrozenLake-v1 optimal --output p.npy", True),
+        (f"{evaluate} FrozenLake-v1", True),
+        (f"{evaluate} FrozenLake-v1 --discount 0.9", False),
+        ("policy sim.npz optimal --output q.npy", False),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(words.split())
+        assert not ended.value.code
+        assert (f"oee: {said}" in capsys.readouterr().err) == is_said
