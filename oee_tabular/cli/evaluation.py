@@ -203,6 +203,9 @@ def _describe_files(
         facts["impossible"] = asked.impossible
     if asked.column:
         facts["columns"] = ", ".join(asked.column)
+        facts["column_options"] = asked.column
+    if asked.box is not None:
+        facts["box"] = asked.box
     if asked.discount is not None:
         facts["discount"] = asked.discount
     if asked.success:

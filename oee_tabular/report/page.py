@@ -236,11 +236,12 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
 def plan_command(report: Report) -> str:
     """Return what plans the next recording, ready to be typed.
 
-    It is the command in the files' own names, or the call in Python; "" where neither
-    can plan (a continuous task's log).
+    It is the command in the files' own names, with the options by which they were read,
+    or the call in Python; "" where neither can plan (a continuous task's log, the
+    probability of success).
     """
     facts = report.facts
-    if report.problem is None:
+    if report.problem is None or "success" in facts:
         return ""
     n = max(1, int(report.problem.counts.sum()))
     if "policy_names" not in facts:
@@ -251,6 +252,8 @@ def plan_command(report: Report) -> str:
     words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
     for file in facts.get("log_files", [facts["log_name"]]):
         words += ["--log", str(file)]
+    for column in facts.get("column_options", ()):
+        words += ["--column", str(column)]
     for name, spec in facts["policy_names"].items():
         words += ["--policy", spec if name == spec else f"{name}={spec}"]
     options = {
@@ -258,8 +261,13 @@ def plan_command(report: Report) -> str:
         **{name: facts.get(name) for name in ("initial", "discount", "impossible")},
     }
     options["action-noise"] = facts.get("action_noise") or None
+    options["box"] = facts.get("box")
+    options["confidence"] = None if report.confidence == 0.95 else report.confidence
     for name, value in options.items():
-        if value is not None:
+        # a value that begins with a dash would be read as an option
+        if str(value).startswith("-"):
+            words.append(f"--{name}={value}")
+        elif value is not None:
             words += [f"--{name}", str(value)]
     return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
 
