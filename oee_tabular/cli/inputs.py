@@ -9,7 +9,9 @@ from __future__ import annotations
 import difflib
 import io
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +32,7 @@ from oee_tabular._arguments import (
     whole_number,
 )
 from oee_tabular.cli.options import remark
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Array
 
 
@@ -341,7 +343,7 @@ def read_problem(
     column: list[str] | None = None,
     trials: str | None = None,
     success: list[str] | None = None,
-) -> tuple[oee.tasks.NamedTask, oee.Problem]:
+) -> tuple[oee.tasks.NamedTask, oee.Problem, list[str]]:
     """Read the simulator and the problem with the log's files.
 
     Parameters
@@ -364,6 +366,9 @@ def read_problem(
     problem : Problem
         The simulator, with the log's support where ``impossible`` is allow=EPS, and the
         log.
+    notes : list of str
+        What the log's reader warned of: rows that count twice, columns that are left
+        out, labels that are read as others.
     """
     task = task_of(simulator, discount, initial)
     if not success:  # whose discount is 1
@@ -376,9 +381,10 @@ def read_problem(
     model = task.mdp
     epsilon = _read_impossible(impossible)
     _progress.report_step(f"reading the log {', '.join(log)}")
-    recorded = oee.data.read_log(
-        log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
-    )
+    with note_warnings() as notes:
+        recorded = oee.data.read_log(
+            log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
+        )
     if success:
         recorded = _without_rewards(recorded)
     must_refuse: Any = impossible
@@ -400,7 +406,26 @@ def read_problem(
         trials=tried,
         **more,
     )
-    return task, problem
+    return task, problem, notes
+
+
+@contextmanager
+def note_warnings() -> Iterator[list[str]]:
+    """Give a list that gets each warning about data, which is shown as well."""
+    notes: list[str] = []
+    show = warnings.showwarning
+
+    def note(
+        message: Warning | str, category: type[Warning], *rest: Any, **more: Any
+    ) -> None:
+        """Keep a warning about data once, and show it."""
+        if issubclass(category, DataWarning) and str(message) not in notes:
+            notes.append(str(message))
+        show(message, category, *rest, **more)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = note
+        yield notes
 
 
 def _without_rewards(recorded: Any) -> Any:

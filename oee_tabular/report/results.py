@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,7 @@ from oee_tabular.report.content import (
     write_headline,
 )
 from oee_tabular.report.files import check_output, check_page, write_report
+from oee_tabular.report.notes import LOG
 from oee_tabular.report.rows import Result, first_results
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import Uncertainty
@@ -37,6 +38,27 @@ from oee_tabular.typing import Array, SeedNumbers
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+
+def add_log_notes(report: Report, notes: Sequence[str]) -> Report:
+    """Return a report with what the reader of its log warned of.
+
+    They are its last warnings, which are about no row in particular, and the fact
+    ``log_notes``.
+    """
+    # a continuous task's report has some of them already
+    new = [note for note in notes if note not in report.warnings]
+    if not new:
+        return report
+    sentences = [f"While the log was read: {note.removesuffix('.')}." for note in new]
+    # warnings beyond the end of ``kinds`` are of no kind
+    unnamed = ("",) * (len(report.warnings) - len(report.kinds))
+    return replace(
+        report,
+        warnings=(*report.warnings, *sentences),
+        kinds=(*report.kinds, *unnamed, *[LOG] * len(new)),
+        facts=dict(report.facts) | {"log_notes": new},
+    )
 
 
 @checked(levels=("confidence",))
