@@ -391,13 +391,14 @@ def test_of_simulator(
 
     ``z`` is the score of all transitions together in standard deviations, ``rejected``
     the number of the ``tested`` pairs that reject the simulator by themselves, and
-    ``is_rejected`` whether all together do.
+    ``is_rejected`` whether all together do. Tested are the recorded pairs for which the
+    simulator has more than one next state.
     """
-    pairs = f"{tested:,} recorded state-action pairs"
+    pairs = f"{tested:,} tested state-action pairs"
     if not is_rejected and not rejected:
         where = f"the {pairs}, neither together (z = {z:.1f}) nor one by one"
         if tested == 1:
-            where = f"the one recorded state-action pair (z = {z:.1f})"
+            where = f"the one tested state-action pair (z = {z:.1f})"
         return (
             f"The data show no significant difference from the simulator in {where}. A"
             " short log cannot show a small one."
@@ -405,7 +406,7 @@ def test_of_simulator(
     if not is_rejected:
         each = f"{rejected:,} of the {pairs} {'does' if rejected == 1 else 'do'} so"
         if tested == 1:
-            each = "those of the one recorded state-action pair do so"
+            each = "those of the one tested state-action pair do so"
         return (
             "The target differs from the simulator. The recorded transitions show it:"
             f" {each} by {'itself' if rejected == 1 else 'themselves'}. In all of them"
@@ -422,13 +423,13 @@ def test_of_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} None of the {pairs} has enough transitions to show it when tested"
-            " alone."
+            f"{whole} None of the {pairs} has enough transitions to show it by itself."
         )
     if rejected == tested:
-        return f"{whole} Each of the {pairs} differs surely when tested alone."
+        return f"{whole} Each of the {pairs} differs surely by itself."
     verb = "differs" if rejected == 1 else "differ"
-    return f"{whole} {rejected:,} of the {pairs} {verb} surely when tested alone."
+    by = "itself" if rejected == 1 else "themselves"
+    return f"{whole} {rejected:,} of the {pairs} {verb} surely by {by}."
 
 
 def distance_from_simulator(

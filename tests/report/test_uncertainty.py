@@ -359,7 +359,7 @@ def test_much_data_of_another_environment():
     far, sure, advice = found.uncertainty.sentences
     assert far.startswith("The target differs from the simulator. Outcomes that")
     assert far.endswith(
-        "Each of the 60 recorded state-action pairs differs surely when tested alone."
+        "Each of the 60 tested state-action pairs differs surely by itself."
     )
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
