@@ -20,7 +20,7 @@ from oee_tabular import _progress
 from oee_tabular._memory import require_room
 from oee_tabular.cli import files, improving, values
 from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
-from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
+from oee_tabular.cli.options import ARGUMENTS, GROUPS, print_remarks, remarks, say
 from oee_tabular.exceptions import ArgumentError
 
 
@@ -65,8 +65,14 @@ class Command(TyperCommand):
     def invoke(self, ctx: Any) -> Any:
         """Run the command; in an error, an argument gets the name of its option."""
         require_room()
+        remarks.clear()
         try:
-            return super().invoke(ctx)
+            result = super().invoke(ctx)
+            print_remarks()
+            return result
+        except typer.Exit:
+            print_remarks()
+            raise
         except KeyboardInterrupt:
             _say_finished()
             raise

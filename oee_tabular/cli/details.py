@@ -192,11 +192,12 @@ JSON_KEYS = {
     ),
     "improve": (
         "version, decision (deploy, keep or record), deploy, sentence, policy, gain,"
-        " gain_lower, confidence, unrecorded, split, seed, candidates, plan, file"
+        " gain_lower, confidence, unrecorded, split, seed, candidates, plan, file,"
+        " log_notes"
     ),
     "plan": (
         "version, sampling, n, quantity (value or gain), confidence, status, gap,"
-        " policies, most, advice, next, file"
+        " policies, most, advice, next, file, log_notes"
     ),
     "sample": "version, file, transitions, episodes",
     "policy": "version, file, states, actions",

@@ -14,6 +14,8 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.evaluation_options import Asked
 from oee_tabular.cli.inputs import (
     count_log_files,
+    describe_default_discount,
+    note_warnings,
     policies_of,
     read_box,
     read_columns,
@@ -22,6 +24,7 @@ from oee_tabular.cli.inputs import (
     read_success,
     task_of,
 )
+from oee_tabular.cli.options import remark
 from oee_tabular.continuous import (
     evaluate_files,
     is_continuous,
@@ -33,6 +36,7 @@ from oee_tabular.exceptions import ArgumentError
 if TYPE_CHECKING:
     from oee_tabular.report import Report
 
+CONTINUOUS_DISCOUNT = 0.99  # of a continuous task where --discount gives none
 # what these options are when they are not given
 DEFAULTS = (None, 0.0, "refuse", "simulator")
 
@@ -101,6 +105,8 @@ def _evaluate_continuous(
     cells: Any,
 ) -> Report:
     """Evaluate policies of a continuous task."""
+    from oee_tabular.report import add_log_notes
+
     common = asked.common
     common["fit"] = asked.fit.split(",") if asked.fit else asked.fit
     common["history"] = literal(asked.history, "--history")
@@ -114,19 +120,23 @@ def _evaluate_continuous(
         "must be left out for a continuous task, whose states have no numbers; it"
         " is {}",
     )
-    return evaluate_files(
-        simulator,
-        log,
-        asked.policy,
-        asked.behavior,
-        asked.target,
-        settings,
-        grid=cells,
-        columns=read_columns(asked.column, log),
-        horizon=asked.horizon,
-        discount=0.99 if asked.discount is None else asked.discount,
-        **common,
-    )
+    if asked.discount is None:
+        remark(describe_default_discount(CONTINUOUS_DISCOUNT))
+    with note_warnings() as notes:
+        report = evaluate_files(
+            simulator,
+            log,
+            asked.policy,
+            asked.behavior,
+            asked.target,
+            settings,
+            grid=cells,
+            columns=read_columns(asked.column, log),
+            horizon=asked.horizon,
+            discount=CONTINUOUS_DISCOUNT if asked.discount is None else asked.discount,
+            **common,
+        )
+    return add_log_notes(report, notes)
 
 
 def _evaluate_finite(
@@ -137,9 +147,9 @@ def _evaluate_finite(
     show: Callable[[Report], object] | None,
 ) -> Report:
     """Evaluate policies by the files of a simulator and a log."""
-    from oee_tabular.report import evaluate_showing
+    from oee_tabular.report import add_log_notes, evaluate_showing
 
-    task, problem = read_problem(
+    task, problem, notes = read_problem(
         simulator,
         log,
         discount=asked.discount,
@@ -160,16 +170,23 @@ def _evaluate_finite(
             known[name], content = read_entries(path, name, task.mdp)
             facts[name] = f"{path} ({content})"
     target = _read_target(asked, task)
-    return evaluate_showing(
+
+    def show_with_notes(report: Report) -> None:
+        """Show the report of a large problem with what the log's reader warned of."""
+        assert show is not None
+        show(add_log_notes(report, notes))
+
+    report = evaluate_showing(
         problem,
         policies_of(asked.policy, task),
-        show,
+        None if show is None else show_with_notes,
         facts=facts,
         target=target,
         **known,
         **asked.common,
         **knob,
     )
+    return add_log_notes(report, notes)
 
 
 def _describe_files(
@@ -198,6 +215,9 @@ def _describe_files(
         facts["impossible"] = asked.impossible
     if asked.column:
         facts["columns"] = ", ".join(asked.column)
+        facts["column_options"] = asked.column
+    if asked.box is not None:
+        facts["box"] = asked.box
     if asked.discount is not None:
         facts["discount"] = asked.discount
     if asked.success:

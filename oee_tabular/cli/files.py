@@ -6,15 +6,24 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
+import numpy as np
 import typer
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
 from oee_tabular._checks import positive_integer
 from oee_tabular._progress import is_terminal
-from oee_tabular.cli.inputs import policy_of, read_columns, task_of, write_array
+from oee_tabular.cli.inputs import (
+    describe_default_discount,
+    has_default_discount,
+    policy_of,
+    read_columns,
+    task_of,
+    tell_default_discount,
+    write_array,
+)
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
@@ -30,6 +39,7 @@ from oee_tabular.cli.options import (
     SeedOption,
     SimulatorArgument,
     print_result,
+    remark,
 )
 from oee_tabular.cli.simulators import is_table, read_simulator
 from oee_tabular.continuous import is_continuous, record_log, task_options
@@ -235,7 +245,9 @@ def policy(
 ) -> None:
     """Write a policy of a simulator to a file."""
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npy",))
-    table = policy_of(spec, task_of(simulator, discount), "policy")
+    task = task_of(simulator, discount)
+    table = policy_of(spec, task, "policy")
+    tell_default_discount(simulator, discount, task)
     n_states, n_actions = table.shape
     text = f"{output}: policy of {n_states} states and {n_actions} actions"
     with file.writing():
@@ -282,6 +294,7 @@ def export(
     endings = oee.tasks.MDP_ENDINGS
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
     discretization: Any = None
+    task = None
     if is_table(simulator):
         if samples_per_pair is not None:
             raise ArgumentError(
@@ -313,7 +326,13 @@ def export(
         "actions": mdp.n_actions,
         "transitions": mdp.transitions.nnz,
     }
-    print_result(f"{output}: {saved!r}", record, as_json)
+    text = f"{output}: {saved!r}"
+    if has_default_discount(simulator, discount, task):
+        default = describe_default_discount(mdp.discount)
+        if as_json:
+            remark(default)
+        text += f"\n{default}"
+    print_result(text, record, as_json)
 
 
 def counts(
@@ -399,7 +418,8 @@ def info(
         list[str],
         typer.Argument(
             metavar="FILE...",
-            help="A FiniteMDP, a log (or its files), a policy, trials or a report.",
+            help="A FiniteMDP or its table, a log (or its files), a policy, trials or a"
+            " report.",
             rich_help_panel=INPUT,
         ),
     ],
@@ -430,8 +450,8 @@ def describe_files(
     Returns
     -------
     kind : str
-        "finite_mdp", "transitions", "transition_counts", "continuous_transitions",
-        "policy", "report", "trials" or "arrays".
+        "finite_mdp", "simulator_table", "transitions", "transition_counts",
+        "continuous_transitions", "policy", "report", "trials" or "arrays".
     text : str
         What it holds, in one or more lines.
     """
@@ -443,14 +463,22 @@ def describe_files(
     path = Path(_files.local(files[0]))
     if (path / "report.json").is_file():
         path = path / "report.json"
-    if len(files) == 1 and not columns and holds_trials(file):
-        return "trials", _describe_trials(oee.Trials.load(file))
+    if len(files) == 1 and holds_trials(file):
+        if not columns:
+            return "trials", _describe_trials(oee.Trials.load(file))
+        # of a log, --column names labels that are there
+        if not _name_labels(file, columns):
+            _refuse_columns(file, "holds trials")
     if path.suffix.lower() == ".umb":
+        if columns:
+            _refuse_columns(file, "is a FiniteMDP")
         mdp = oee.FiniteMDP.load(file)
         return "finite_mdp", _describe_mdp(mdp, file, {})
     if path.suffix.lower() == ".json":
         from oee_tabular.report import summary
 
+        if columns:
+            _refuse_columns(str(path), "is a report")
         return "report", summary(path)
     is_pattern = not path.exists() and bool(set("*?[") & set(file))
     first, has_parts = file, False
@@ -463,21 +491,46 @@ def describe_files(
         states = oee.ContinuousTransitions.load(given, columns=columns)
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
-    if is_single and path.suffix.lower() == ".csv" and not columns:
+    if is_single and path.suffix.lower() in (".csv", ".gz"):
+        from oee_tabular.cli.simulators import describe_table
+
+        table = describe_table(file, columns or {})
+        if table is not None:
+            return "simulator_table", table
+    if is_single and path.suffix.lower() == ".csv":
         from oee_tabular.cli.policies import describe_policy, require_commas
 
         require_commas(file)
         policy = describe_policy(file)
-        if policy is not None:
+        if policy is not None and not columns:
             return "policy", policy
+        if policy is not None and "next_state" not in (columns or {}):
+            _refuse_columns(file, "holds a policy")
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
         log = oee.Transitions.load(files, columns=columns)
         return "transitions", repr(log) + _describe_labels(log, files, columns)
     if columns:
-        raise ArgumentError(
-            "columns", f"must be left out for {file!r}, which is no table"
-        )
+        _refuse_columns(file, "is no table")
     return _describe_arrays(file)
+
+
+def _name_labels(file: str, columns: Mapping[str, Any]) -> bool:
+    """Say whether a table has a label that is given for a column."""
+    from oee_tabular.data.tables import read_labels
+
+    if Path(file).suffix.lower() != ".csv":
+        return False
+    given = [label for one in columns.values() for label in np.atleast_1d(one)]
+    return bool(set(given) & set(read_labels(file)))
+
+
+def _refuse_columns(file: str, is_what: str) -> NoReturn:
+    """Raise an ArgumentError for --column beside a file that is no log."""
+    raise ArgumentError(
+        "columns",
+        f"must be left out for {file!r}, which {is_what}; it names the columns of a"
+        " log",
+    )
 
 
 def _describe_arrays(file: str) -> tuple[str, str]:

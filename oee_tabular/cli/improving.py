@@ -110,7 +110,7 @@ def improve(
     page = _check_page(report, overwrite=overwrite)
     factor = _read_factor(unrecorded)
     known: dict[str, Any] = read_box(box)
-    task, problem = read_problem(
+    task, problem, notes = read_problem(
         simulator,
         log,
         discount=discount,
@@ -131,7 +131,7 @@ def improve(
         seed=seed,
         **known,
     )
-    _print_and_write(found, page, as_json)
+    _print_and_write(found, notes, page, as_json)
     if not found.deploy:
         raise typer.Exit(NOTHING_TO_DEPLOY)
 
@@ -175,12 +175,16 @@ def _read_candidates(
 
 
 def _print_and_write(
-    found: oee.Improvement, page: _writing.Output | None, as_json: bool
+    found: oee.Improvement,
+    notes: list[str],
+    page: _writing.Output | None,
+    as_json: bool,
 ) -> None:
     """Print a decision, and write its page."""
     file = None if page is None else str(page.path)
     try:
-        print_result(str(found), found.to_dict() | {"file": file}, as_json)
+        record = found.to_dict() | {"file": file, "log_notes": notes}
+        print_result(str(found), record, as_json)
     finally:
         # the page is written whatever becomes of standard output
         if page is not None:

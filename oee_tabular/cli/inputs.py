@@ -9,7 +9,9 @@ from __future__ import annotations
 import difflib
 import io
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +31,8 @@ from oee_tabular._arguments import (
     own_object,
     whole_number,
 )
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.cli.options import remark
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.typing import Array
 
 
@@ -83,6 +86,34 @@ def task_of(
     is_number = is_whole_number(initial)
     start = whole_number(initial, "--initial") if is_number else initial
     return replace(task, mdp=task.mdp.with_initial(start))
+
+
+def has_default_discount(
+    spec: str, discount: float | None, task: oee.tasks.NamedTask | None
+) -> bool:
+    """Say whether nobody chose a simulator's discount.
+
+    A table has none (``task`` is None), and neither has an environment; saved MDPs and
+    tasks of the package have their own.
+    """
+    if discount is not None or "discount=" in spec.replace(" ", ""):
+        return False
+    if task is None:
+        return True
+    return task.environment is not None or task.continuous is not None
+
+
+def describe_default_discount(value: float) -> str:
+    """Say that a discount is the default."""
+    return f"discount {value:g} (the default; --discount sets it)"
+
+
+def tell_default_discount(
+    spec: str, discount: float | None, task: oee.tasks.NamedTask
+) -> None:
+    """Have it said on stderr which discount a simulator gets that has none."""
+    if has_default_discount(spec, discount, task):
+        remark(describe_default_discount(task.mdp.discount))
 
 
 def is_own(spec: str) -> bool:
@@ -312,7 +343,7 @@ def read_problem(
     column: list[str] | None = None,
     trials: str | None = None,
     success: list[str] | None = None,
-) -> tuple[oee.tasks.NamedTask, oee.Problem]:
+) -> tuple[oee.tasks.NamedTask, oee.Problem, list[str]]:
     """Read the simulator and the problem with the log's files.
 
     Parameters
@@ -335,8 +366,13 @@ def read_problem(
     problem : Problem
         The simulator, with the log's support where ``impossible`` is allow=EPS, and the
         log.
+    notes : list of str
+        What the log's reader warned of: rows that count twice, columns that are left
+        out, labels that are read as others.
     """
     task = task_of(simulator, discount, initial)
+    if not success:  # whose discount is 1
+        tell_default_discount(simulator, discount, task)
     if action_noise:
         task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
     if success:
@@ -345,9 +381,10 @@ def read_problem(
     model = task.mdp
     epsilon = _read_impossible(impossible)
     _progress.report_step(f"reading the log {', '.join(log)}")
-    recorded = oee.data.read_log(
-        log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
-    )
+    with note_warnings() as notes:
+        recorded = oee.data.read_log(
+            log[0] if len(log) == 1 else log, model, columns=read_columns(column, log)
+        )
     if success:
         recorded = _without_rewards(recorded)
     must_refuse: Any = impossible
@@ -369,7 +406,26 @@ def read_problem(
         trials=tried,
         **more,
     )
-    return task, problem
+    return task, problem, notes
+
+
+@contextmanager
+def note_warnings() -> Iterator[list[str]]:
+    """Give a list that gets each warning about data, which is shown as well."""
+    notes: list[str] = []
+    show = warnings.showwarning
+
+    def note(
+        message: Warning | str, category: type[Warning], *rest: Any, **more: Any
+    ) -> None:
+        """Keep a warning about data once, and show it."""
+        if issubclass(category, DataWarning) and str(message) not in notes:
+            notes.append(str(message))
+        show(message, category, *rest, **more)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = note
+        yield notes
 
 
 def _without_rewards(recorded: Any) -> Any:

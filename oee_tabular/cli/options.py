@@ -307,6 +307,21 @@ def say(text: str, *, err: bool = False) -> None:
         sys.exit(2)
 
 
+remarks: list[str] = []  # lines that a command prints on stderr once it has succeeded
+
+
+def remark(text: str) -> None:
+    """Have a line printed on stderr once the command has succeeded."""
+    remarks.append(f"oee: {text}")
+
+
+def print_remarks() -> None:
+    """Print the lines that were remarked, each of them once."""
+    for line in dict.fromkeys(remarks):
+        say(line, err=True)
+    remarks.clear()
+
+
 def print_result(text: str, record: Mapping[str, object], as_json: bool) -> None:
     """Print the text, or one JSON object on stdout alone.
 

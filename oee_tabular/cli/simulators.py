@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from oee_tabular import _checks
 from oee_tabular._arguments import is_whole_number, whole_number
 from oee_tabular.exceptions import ArgumentError
 
+SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
 FIELDS = ("state", "action", "next_state", "probability", "reward")
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
@@ -28,7 +30,8 @@ def refuse_table(spec: str) -> None:
         raise ArgumentError(
             "--simulator",
             f"must be a task, an environment or a saved FiniteMDP (.npz); {spec!r} is a"
-            f" table (of samples, or with a column probability: oee export {spec}"
+            f" table (of samples, or with a column probability: oee export"
+            f" {shlex.quote(spec)}"
             " --initial STATE --discount G --output simulator.npz; in Python, of"
             " samples: log = Transitions.load(path); FiniteMDP.from_log(log,"
             " initial=STATE, discount=G).save('simulator.npz'))",
@@ -152,7 +155,6 @@ def _require_every_action(
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
-    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
     from oee_tabular.data.labels import show_labels, warn_left_out
     from oee_tabular.data.tables import csv_frame
 
@@ -170,16 +172,7 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     found = []
     used = []
     for field in FIELDS:
-        label = columns.get(field)
-        if label is None:
-            likely = [
-                each
-                for each in frame.columns
-                if each == field
-                or (field == "probability" and plain(each) in POLICY_PROBABILITY)
-                or find_field(each, has_vectors=False) == field
-            ]
-            label = field if field in likely else (likely or [None])[0]
+        label = _find_label(field, list(frame.columns), columns)
         if label not in list(frame.columns):
             option = f" (--column {field}=LABEL)" if field != "probability" else ""
             raise ArgumentError(
@@ -206,6 +199,67 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
         found.append(values)
     warn_left_out(repr(path), [label for label in frame.columns if label not in used])
     return found
+
+
+def _find_label(field: str, labels: list[Any], columns: Mapping[str, Any]) -> Any:
+    """Return what a table calls a column; None where no label is likely."""
+    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
+
+    if columns.get(field) is not None:
+        return columns[field]
+    likely = [
+        each
+        for each in labels
+        if each == field
+        or (field == "probability" and plain(each) in POLICY_PROBABILITY)
+        or find_field(each, has_vectors=False) == field
+    ]
+    return field if field in likely else (likely or [None])[0]
+
+
+def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
+    """Return in words what a simulator's table holds; None where a file is none.
+
+    It has state, action, next_state and a column of probabilities, which sum to 1 over
+    the rows of a state and action. Those of the actions of a log do not.
+    """
+    from oee_tabular.cli.policies import drop_index
+    from oee_tabular.data.aliases import find_field
+    from oee_tabular.data.tables import csv_frame, read_labels
+
+    if not path.lower().endswith((".csv", ".csv.gz")) or columns.keys() - set(FIELDS):
+        return None
+    labels = read_labels(path)
+    found = {field: _find_label(field, labels, columns) for field in FIELDS}
+    own = [found[field] for field in FIELDS[:4]]
+    if not set(own) <= set(labels) or len(set(own)) < len(own):
+        return None
+    others = {find_field(each, has_vectors=False) for each in labels if each not in own}
+    if others - {None, "reward"}:  # columns that a log alone has
+        return None
+    frame = drop_index(csv_frame(path))
+    if not set(own) <= set(frame.columns):
+        return None
+    state, action, following, probability = own
+    values = frame[probability]
+    if values.dtype.kind not in "iuf" or not len(frame):
+        return None
+    sums = frame.groupby([state, action])[probability].sum()
+    is_repeated = frame.duplicated([state, action, following]).any()
+    if is_repeated or not bool((abs(sums - 1.0) <= SUM_TOLERANCE).all()):
+        return None
+    states = set(frame[state]) | set(frame[following])
+    reward = found["reward"]
+    lacking = ""
+    if reward not in labels:
+        lacking = ", once it has a column reward"
+    return (
+        f"table of a simulator: {len(frame)} transitions of {len(states)} states and"
+        f" {frame[action].nunique()} actions with probabilities"
+        f" ({_checks.show(probability)}), which sum to 1 for each state and action; no"
+        f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
+        " STATE --discount G --output simulator.npz"
+    )
 
 
 def _number(column: Any) -> tuple[Any, list[Any] | None]:

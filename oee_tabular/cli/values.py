@@ -163,12 +163,12 @@ def compare(
     It prints differences with their intervals and P(best), or says that the log cannot
     tell.
     """
-    from oee_tabular.report import contest_showing
+    from oee_tabular.report import add_log_notes, contest_showing
 
     _require_contest(simulator, policy)
     refuse_beside_quick(quick, box, unrecorded, interval_seconds)
     known: dict[str, Any] = read_box(box) | read_knob(unrecorded, interval_seconds)
-    task, problem = read_problem(
+    task, problem, notes = read_problem(
         simulator,
         log,
         discount=discount,
@@ -182,7 +182,8 @@ def compare(
 
     def show(report: Report) -> None:
         """Print the answer of a large problem before its intervals are known."""
-        say(f"{oee.report.render_comparison(report, verbose=verbose)}\n")
+        noted = add_log_notes(report, notes)
+        say(f"{oee.report.render_comparison(noted, verbose=verbose)}\n")
 
     report = contest_showing(
         problem,
@@ -192,8 +193,10 @@ def compare(
         quick=quick,
         **known,
     )
+    report = add_log_notes(report, notes)
     shown = oee.report.render_comparison(report, verbose=verbose)
-    print_result(shown, _record_contest(report, problem.findings), as_json)
+    told = [*map(str, problem.findings), *notes]
+    print_result(shown, _record_contest(report, told), as_json)
     if expect_best and report.best != next(iter(report.policies)):
         raise typer.Exit(NOT_THE_BEST)
 
@@ -214,7 +217,7 @@ def _require_contest(simulator: str, policy: list[str]) -> None:
         )
 
 
-def _record_contest(report: Report, findings: Sequence[object]) -> dict[str, Any]:
+def _record_contest(report: Report, warnings: Sequence[str]) -> dict[str, Any]:
     """Return what ``oee compare --json`` prints."""
     rows = report.comparison()
     return {
@@ -223,7 +226,7 @@ def _record_contest(report: Report, findings: Sequence[object]) -> dict[str, Any
         "sentence": report.headline,
         "policies": rows,
         "differences": [_difference(row, rows[0]["policy"]) for row in rows[1:]],
-        "warnings": [str(finding) for finding in findings],
+        "warnings": list(warnings),
     }
 
 
@@ -315,7 +318,7 @@ def plan(
             output, "--output", overwrite=overwrite, endings=(".npy",)
         )
     asked = _read_plan_options(plan_option or []) | read_box(box)
-    task, problem = read_problem(
+    task, problem, notes = read_problem(
         simulator,
         log,
         discount=discount,
@@ -337,7 +340,10 @@ def plan(
         **asked,
     )
     lines = [str(made)]
-    record = made.to_dict() | {"file": None if output is None else str(output)}
+    record = made.to_dict() | {
+        "file": None if output is None else str(output),
+        "log_notes": notes,
+    }
     if file is not None:
         lines.append(f"{output}: {_save_plan(made, file, free=free)}")
     print_result("\n".join(lines), record, as_json)

@@ -8,6 +8,7 @@ out; ``columns`` says which columns a table has, and ``text`` has the sentences.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -84,6 +85,8 @@ class Content:
         The exact value of each policy, where it is known.
     legend : list of str
         What each interval of the shown rows is.
+    kind : str
+        Of which kind the intervals of the answer are, in a sentence.
     details : tuple of str
         The sentences on how certain the values are, and on what to record next.
     notes : list of Note
@@ -111,6 +114,7 @@ class Content:
     comparison: list[Record]
     truth: Mapping[str, float]
     legend: list[str]
+    kind: str
     details: tuple[str, ...]
     notes: list[Note]
     warnings: tuple[str, ...]
@@ -144,6 +148,7 @@ def gather_content(report: Report) -> Content:
         comparison=report.comparison(),
         truth={name: exact * report.scale for name, exact in report.truth.items()},
         legend=report.legend(shown),
+        kind=text.interval_kinds(stated_methods(report), report.confidence),
         details=report.uncertainty.details,
         notes=rank_notes(report),
         warnings=report.warnings,
@@ -336,7 +341,91 @@ def end_columns(interval: Interval | None) -> dict[str, float | None]:
     }
 
 
+# ---- what the intervals of rows are
+
+
+def explain_intervals(
+    report: Report, rows: Sequence[Mapping[str, Any]]
+) -> list[tuple[str, str, list[str]]]:
+    """Return each kind of interval with its meaning and the rows that have it.
+
+    A row is named by its estimator; where that has intervals of several kinds, with its
+    policies.
+    """
+    kinds: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for row in rows:
+        method = row["interval_method"]
+        if method is not None:
+            kind = (str(method), explain_interval(report, row))
+            members = kinds.setdefault(kind, {})
+            policies = members.setdefault(str(row["estimator"]), [])
+            policies.append(f"“{row.get('policy')}”")
+    seen = Counter(estimator for members in kinds.values() for estimator in members)
+    return [
+        (
+            method,
+            meaning,
+            [
+                f"{name} of {', '.join(policies)}" if seen[name] > 1 else name
+                for name, policies in members.items()
+            ],
+        )
+        for (method, meaning), members in kinds.items()
+    ]
+
+
+def explain_interval(report: Report, row: Mapping[str, Any]) -> str:
+    """Say what the interval of a row is, from how it was made."""
+    method = str(row["interval_method"])
+    meaning = text.METHODS.get(method, method)
+    is_cut = False
+    if method == LIKELIHOOD:
+        found = report.uncertainty.likelihood.get(str(row.get("policy")))
+        if found is not None:
+            if not is_searched(found):
+                is_widened = found.diagnostics["unrecorded_factor"] != 1.0
+                meaning = text.WIDENED if is_widened else text.AS_ESTIMATED
+            facts = found.diagnostics
+            is_cut = "uncut_lower" in facts or "uncut_upper" in facts
+    elif method in text.SYMMETRIC and row.keys() >= {"value", "lower", "upper"}:
+        below = float(row["value"] - row["lower"])
+        above = float(row["upper"] - row["value"])
+        rounding = 1e-9 * abs(float(row["value"]))
+        is_cut = not math.isclose(below, above, rel_tol=1e-6, abs_tol=rounding)
+    return meaning + text.CUT if is_cut else meaning
+
+
+def is_searched(interval: Interval) -> bool:
+    """Say whether the ends of a likelihood interval were found by a search.
+
+    Then they are the last values that the log does not reject. Others are a value and
+    standard errors: where the policy reaches pairs that were never recorded, at a
+    finite factor, and where the search was left out.
+    """
+    facts = interval.diagnostics
+    if "divergence" not in facts:
+        return False
+    if interval.sampling is None or math.isinf(facts["unrecorded_factor"]):
+        return True
+    if facts["unrecorded_factor"] == 1.0:
+        return "sampling_method" not in facts
+    return not facts["unrecorded_pairs"]
+
+
 # ---- the answer
+
+
+def stated_methods(report: Report) -> list[str]:
+    """Return the methods of the intervals that the answer states."""
+    silent = report.uncertainty.unanswered
+    return [
+        answer.method
+        for answer in report.answers
+        if answer.method is not None
+        and math.isfinite(answer.value)
+        and answer.policy not in silent
+        and not answer.is_contradicted
+    ]
 
 
 def write_headline(report: Report, write: Callable[[Answer, float], str]) -> str:

@@ -32,6 +32,7 @@ SIMULATOR = "simulator"
 NEXT = "next"
 MISSING = "missing"
 LEGEND = "legend"
+LOG = "log"  # what the reader of a log warned of
 
 
 class Rank(IntEnum):
@@ -76,6 +77,7 @@ RANKS = {
     "sample": Rank.REMARK,
     "sampled": Rank.REMARK,
     "behavior": Rank.REMARK,
+    LOG: Rank.REMARK,
     REMARK: Rank.REMARK,
     LEGEND: Rank.LEGEND,
 }

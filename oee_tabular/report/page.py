@@ -13,6 +13,7 @@ import os
 import platform
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -29,6 +30,7 @@ from oee_tabular.estimators.names import NAMED
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import draw_or_warn
 from oee_tabular.report import columns, text
+from oee_tabular.report.content import explain_intervals
 from oee_tabular.report.files import plain
 from oee_tabular.report.portrait import (
     MAX_POLICIES,
@@ -118,7 +120,7 @@ def render(
         diagnostics=columns.estimator_columns(report.content, columns.DIAGNOSTICS),
         versions=_versions(),
         estimators=NAMED,
-        methods=text.METHODS,
+        meanings=_explain_lines(report),
         columns=_meanings(report),
     )
     return legible(page) + "\n"
@@ -129,6 +131,27 @@ def _meanings(report: Report) -> dict[str, str]:
     shown = columns.estimator_columns(report.content, columns.DIAGNOSTICS)
     every = [columns.P_BEST_COLUMN, *shown]
     return {column.title: column.meaning for column in every if column.meaning}
+
+
+def _explain_lines(report: Report) -> list[tuple[str, str]]:
+    """Return each kind of interval of the page with its meaning.
+
+    The rows of a method are named where it has several meanings.
+    """
+    lines = [
+        line for answer in report.answers for line in list_lines(report, answer.policy)
+    ]
+    kinds = [
+        kind for kind in explain_intervals(report, lines) if kind[0] in text.METHODS
+    ]
+    times = Counter(method for method, _, _ in kinds)
+    return [
+        (
+            f"{method} ({', '.join(rows)})" if times[method] > 1 else method,
+            f"{meaning[0].upper()}{meaning[1:]}",
+        )
+        for method, meaning, rows in kinds
+    ]
 
 
 def legible(words: object) -> str:
@@ -213,11 +236,12 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
 def plan_command(report: Report) -> str:
     """Return what plans the next recording, ready to be typed.
 
-    It is the command in the files' own names, or the call in Python; "" where neither
-    can plan (a continuous task's log).
+    It is the command in the files' own names, with the options by which they were read,
+    or the call in Python; "" where neither can plan (a continuous task's log, the
+    probability of success).
     """
     facts = report.facts
-    if report.problem is None:
+    if report.problem is None or "success" in facts:
         return ""
     n = max(1, int(report.problem.counts.sum()))
     if "policy_names" not in facts:
@@ -228,6 +252,8 @@ def plan_command(report: Report) -> str:
     words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
     for file in facts.get("log_files", [facts["log_name"]]):
         words += ["--log", str(file)]
+    for column in facts.get("column_options", ()):
+        words += ["--column", str(column)]
     for name, spec in facts["policy_names"].items():
         words += ["--policy", spec if name == spec else f"{name}={spec}"]
     options = {
@@ -235,8 +261,13 @@ def plan_command(report: Report) -> str:
         **{name: facts.get(name) for name in ("initial", "discount", "impossible")},
     }
     options["action-noise"] = facts.get("action_noise") or None
+    options["box"] = facts.get("box")
+    options["confidence"] = None if report.confidence == 0.95 else report.confidence
     for name, value in options.items():
-        if value is not None:
+        # a value that begins with a dash would be read as an option
+        if str(value).startswith("-"):
+            words.append(f"--{name}={value}")
+        elif value is not None:
             words += [f"--{name}", str(value)]
     return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
 

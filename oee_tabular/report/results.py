@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from oee_tabular.plots import draw_or_warn, figure_files, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.content import (
     Content,
+    explain_intervals,
     gather_content,
     make_answers,
     make_comparison,
@@ -28,6 +29,7 @@ from oee_tabular.report.content import (
     write_headline,
 )
 from oee_tabular.report.files import check_output, check_page, write_report
+from oee_tabular.report.notes import LOG
 from oee_tabular.report.rows import Result, first_results
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import Uncertainty
@@ -36,6 +38,27 @@ from oee_tabular.typing import Array, SeedNumbers
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+
+def add_log_notes(report: Report, notes: Sequence[str]) -> Report:
+    """Return a report with what the reader of its log warned of.
+
+    They are its last warnings, which are about no row in particular, and the fact
+    ``log_notes``.
+    """
+    # a continuous task's report has some of them already
+    new = [note for note in notes if note not in report.warnings]
+    if not new:
+        return report
+    sentences = [f"While the log was read: {note.removesuffix('.')}." for note in new]
+    # warnings beyond the end of ``kinds`` are of no kind
+    unnamed = ("",) * (len(report.warnings) - len(report.kinds))
+    return replace(
+        report,
+        warnings=(*report.warnings, *sentences),
+        kinds=(*report.kinds, *unnamed, *[LOG] * len(new)),
+        facts=dict(report.facts) | {"log_notes": new},
+    )
 
 
 @checked(levels=("confidence",))
@@ -381,7 +404,9 @@ class Report:
         ]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """Explain the intervals of the table, one sentence for each method.
+        """Explain the intervals of the table, one sentence for each kind.
+
+        Rows of one method whose intervals were made otherwise have a sentence each.
 
         Parameters
         ----------
@@ -391,26 +416,24 @@ class Report:
         Returns
         -------
         list of str
-            A sentence for each method, with the estimators whose interval it is.
+            A sentence for each kind, with the estimators whose interval it is. The
+            policies stand beside them where the same estimator's intervals differ.
 
         Raises
         ------
         ValueError
             If ``rows`` are not records of a report.
         """
-        members: dict[str, dict[str, None]] = {}
         needed = {"interval_method", "estimator"}
-        for row in _checks.collection(rows, "rows", "a Report's records()"):
+        given = _checks.collection(rows, "rows", "a Report's records()")
+        for row in given:
             if not isinstance(row, Mapping) or not row.keys() >= needed:
                 raise ArgumentError(
                     "rows", f"must be a Report's records(); one is {_checks.show(row)}"
                 )
-            if row["interval_method"] is not None:
-                estimators = members.setdefault(str(row["interval_method"]), {})
-                estimators[str(row["estimator"])] = None
         return [
-            text.legend(method, list(names), self.confidence)
-            for method, names in members.items()
+            text.legend(method, names, self.confidence, meaning)
+            for method, meaning, names in explain_intervals(self, given)
         ]
 
     def to_dict(self) -> dict[str, Any]:

@@ -77,11 +77,11 @@ def render_short(content: Content, *, all: bool = False) -> str:
 
 
 def describe_values(content: Content) -> str:
-    """Say what a value is, which is better, and why exact ones can be known."""
+    """Say what a value and its interval are, and why exact values can be known."""
     sentence = f"A value is {content.meaning}; larger is better."
     if content.truth:
         sentence += " Exact values are known here, because the target itself is given."
-    return sentence
+    return f"{sentence} {content.kind}".rstrip()
 
 
 def render_comparison(report: Report, *, verbose: bool) -> str:

@@ -10,19 +10,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 from oee_tabular import _printing
 
 # the share of a policy's discounted time in recorded pairs below which a reader must
 # know that first
 MIN_COVERAGE = 0.5
+# likelihood intervals whose ends are no search's: where the policy reaches pairs that
+# were never recorded, or the search was left out
+WIDENED = (
+    "oee's value ± normal quantile × standard error, widened by what state-action pairs that"
+    " were never recorded can change if they differ from the estimate by at most a"
+    " factor (three by default; unrecorded=, --unrecorded)."
+)
+AS_ESTIMATED = (
+    "oee's value ± normal quantile × standard error. Unrecorded state-action pairs"
+    " behave as estimated."
+)
+CUT = " It is cut at the least or largest value that the rewards allow."
+# the kinds of intervals that are symmetric unless they are cut
+SYMMETRIC = ("one-step", "simulator's samples", "standard error", "rollouts")
 METHODS: Mapping[str, str] = {  # kinds of intervals
-    "likelihood": (
-        "value ± normal quantile × standard error, widened by what state-action pairs"
-        " that were never recorded can change if they differ from the estimate by at"
-        " most a factor (three by default; unrecorded=, --unrecorded). With the factor"
-        " inf: every value that the log does not reject."
-    ),
+    "likelihood": "every value that the log does not reject.",
     "likelihood with trials": (
         "every value that log and trials together do not reject. Log and trials are one"
         " likelihood; the log's part is as in the likelihood interval."
@@ -60,10 +70,7 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
         "it covers with at least this confidence for any number of transitions. It is"
         " the widest."
     ),
-    "sampling": (
-        "value ± normal quantile × standard error. Unrecorded state-action pairs behave"
-        " as estimated."
-    ),
+    "sampling": AS_ESTIMATED,
     "worst case": (
         "every value that the log does not reject, if unrecorded state-action pairs may"
         " do anything that the simulator allows."
@@ -384,13 +391,14 @@ def test_of_simulator(
 
     ``z`` is the score of all transitions together in standard deviations, ``rejected``
     the number of the ``tested`` pairs that reject the simulator by themselves, and
-    ``is_rejected`` whether all together do.
+    ``is_rejected`` whether all together do. Tested are the recorded pairs for which the
+    simulator has more than one next state.
     """
-    pairs = f"{tested:,} recorded state-action pairs"
+    pairs = f"{tested:,} tested state-action pairs"
     if not is_rejected and not rejected:
         where = f"the {pairs}, neither together (z = {z:.1f}) nor one by one"
         if tested == 1:
-            where = f"the one recorded state-action pair (z = {z:.1f})"
+            where = f"the one tested state-action pair (z = {z:.1f})"
         return (
             f"The data show no significant difference from the simulator in {where}. A"
             " short log cannot show a small one."
@@ -398,7 +406,7 @@ def test_of_simulator(
     if not is_rejected:
         each = f"{rejected:,} of the {pairs} {'does' if rejected == 1 else 'do'} so"
         if tested == 1:
-            each = "those of the one recorded state-action pair do so"
+            each = "those of the one tested state-action pair do so"
         return (
             "The target differs from the simulator. The recorded transitions show it:"
             f" {each} by {'itself' if rejected == 1 else 'themselves'}. In all of them"
@@ -415,13 +423,13 @@ def test_of_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} None of the {pairs} has enough transitions to show it when tested"
-            " alone."
+            f"{whole} None of the {pairs} has enough transitions to show it by itself."
         )
     if rejected == tested:
-        return f"{whole} Each of the {pairs} differs surely when tested alone."
+        return f"{whole} Each of the {pairs} differs surely by itself."
     verb = "differs" if rejected == 1 else "differ"
-    return f"{whole} {rejected:,} of the {pairs} {verb} surely when tested alone."
+    by = "itself" if rejected == 1 else "themselves"
+    return f"{whole} {rejected:,} of the {pairs} {verb} surely by {by}."
 
 
 def distance_from_simulator(
@@ -599,12 +607,44 @@ def round_up(number: float) -> str:
 # the table
 
 
-def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
-    """Say what the intervals of some estimators are."""
+def legend(
+    method: str, rows: Sequence[str], confidence: float, meaning: str | None = None
+) -> str:
+    """Say what the intervals of some rows are; without a meaning, that of the method.
+
+    A row is named by its estimator, and by its policy where others differ.
+    """
+    about = METHODS.get(method, method) if meaning is None else meaning
     return (
-        f"{format_level(confidence)} interval of {', '.join(estimators)} ({method}):"
-        f" {METHODS.get(method, method)}"
+        f"{format_level(confidence)} interval of {', '.join(rows)} ({method}): {about}"
     )
+
+
+def interval_kinds(methods: Sequence[str], confidence: float) -> str:
+    """Say of which kind the intervals of the answer are; "" where there are none."""
+    quantile = NormalDist().inv_cdf(0.5 + confidence / 2.0)
+    errors = f"value ± {quantile:.3g} standard errors"
+    is_one = len(methods) == 1
+    likelihood = "a likelihood interval" if is_one else "likelihood intervals"
+    names = {
+        "likelihood": likelihood,
+        "likelihood with trials": f"{likelihood} of log and trials together",
+        "trials": "of the trials alone",
+        "refits": "value ± standard errors from resampled episodes",
+        "the estimator's own": "the estimator's own",
+        **dict.fromkeys((*SYMMETRIC, "calibrated"), errors),
+    }
+    kinds = list(
+        dict.fromkeys(
+            names.get(method, method.replace("likelihood", likelihood, 1))
+            for method in methods
+        )
+    )
+    if not kinds:
+        return ""
+    *first, last = kinds
+    listed = f"{', '.join(first)} or {last}" if first else last
+    return f"The answer's {'interval is' if is_one else 'intervals are'} {listed}."
 
 
 def omissions(rows: int) -> str:

@@ -164,3 +164,71 @@ def test_folders_by_an_action_of_another_name(tmp_path):
     for read in (oee.Transitions.load, oee.Transitions.open):
         with pytest.raises(ValueError, match="folders by cmd part the rows of an"):
             read(tmp_path, columns={"action": "cmd", "timestep": None})
+
+
+def test_a_discount_that_nobody_chose_is_said(folder, run, capsys):
+    """On stdout by export, by others on stderr; not one that the simulator has."""
+    from oee_tabular.cli import main
+
+    said = "discount 0.99 (the default; --discount sets it)\n"
+    assert run("export log.csv --output s.npz").endswith(said)
+    assert said not in run("export log.csv --discount 0.99 --output t.npz")
+    assert said not in run("export sim.npz --output u.npz")
+    run("sample FrozenLake-v1 --transitions 300 --output lake.npz")
+    evaluate = "evaluate --log lake.npz --policy uniform --quick --simulator"
+    for words, is_said in (
+        ("export log.csv --output v.npz --json", True),
+        ("policy FrozenLake-v1 optimal --output p.npy", True),
+        (f"{evaluate} FrozenLake-v1", True),
+        (f"{evaluate} FrozenLake-v1 --discount 0.9", False),
+        ("policy sim.npz optimal --output q.npy", False),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(words.split())
+        assert not ended.value.code
+        assert (f"oee: {said}" in capsys.readouterr().err) == is_said
+
+
+def test_info_knows_a_simulator_s_table(folder, run):
+    """By probabilities that sum to 1; the command that it names makes a simulator."""
+    rows = ["a,go,a,0.25,0", "a,go,b,0.75,1", "a,stay,a,1,0"]
+    rows += ["b,go,a,0.5,2", "b,go,b,0.5,0", "b,stay,b,1,0"]
+    header = "state,action,next_state,probability,reward"
+    (folder / "my table.csv").write_text("\n".join([header, *rows]))
+    told = run("info 'my table.csv'")
+    assert "table of a simulator: 6 transitions of 2 states and 2 actions" in told
+    command = told.splitlines()[1].split(": ", 1)[1]
+    words = command.replace("STATE", "a").replace("--discount G", "--discount 0.9")
+    assert "2 states, 2 actions" in run(words.removeprefix("oee "))
+    pd.read_csv("my table.csv").rename(
+        columns={"state": "von", "next_state": "nach"}
+    ).drop(columns="reward").to_csv("other.csv")
+    columns = "--column state=von --column next_state=nach"
+    told = json.loads(run(f"info other.csv {columns} --json"))
+    assert told["kind"] == "simulator_table"
+    assert "once it has a column reward" in told["text"][1]
+    # with the columns of a log it is one
+    (folder / "log3.csv").write_text(
+        "state,action,next_state,behavior_probability\n0,1,1,1\n1,0,0,1\n"
+    )
+    assert run("info log3.csv").startswith("Transitions(2 transitions")
+
+
+@pytest.mark.parametrize(
+    ("file", "is_what"),
+    [
+        ("policy.csv", "holds a policy"),
+        ("trials.csv", "holds trials"),
+        ("sim.npz", "is no table"),
+        ("sim.umb", "is a FiniteMDP"),
+        ("report.json", "is a report"),
+    ],
+)
+def test_info_says_which_files_have_no_columns_of_a_log(folder, run, file, is_what):
+    (folder / "policy.csv").write_text("state,action\nr0c0,n\nr0c1,e\n")
+    (folder / "trials.csv").write_text("policy,success\nmine,1\nmine,0\n")
+    (folder / "report.json").write_text("{}")
+    if file == "sim.umb":
+        oee.FiniteMDP.load("sim.npz").save(file)
+    told = run(f"info {file} --column state=where", code=2)
+    assert f"--column must be left out for {file!r}, which {is_what};" in told

@@ -1,8 +1,11 @@
 """The commands of values: what they print is what Python's functions give."""
 
 import json
+import warnings
+from html import unescape
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -405,3 +408,36 @@ def test_a_fraction_that_is_no_number_is_refused_with_its_argument(text, capsys)
         main(["export", f"gridworld:5,slip={text}", "--output", "x.npz"])
     assert ended.value.code == 2
     assert "slip must be" in capsys.readouterr().err
+
+
+def test_what_the_log_s_reader_warns_of_stands_in_the_report(folder, run, capsys):
+    """Of several files: columns that are left out, and rows that count twice."""
+    table = pd.read_csv("log.csv")[["state", "action", "next_state", "reward"]]
+    table = table.rename(columns={"next_state": "next_obs"})
+    table.iloc[:200].to_csv("a.csv")
+    table.iloc[100:400].to_csv("b.csv", index=False)
+    words = "--simulator sim.npz --log a.csv --log b.csv --policy uniform"
+    told = json.loads(run(f"evaluate {words} --estimators oee --json"))
+    notes = told["facts"]["log_notes"]
+    assert any("it reads 'next_obs' as next_state" in note for note in notes)
+    assert any("count twice" in note for note in notes)
+    assert {f"While the log was read: {x}." for x in notes} <= set(told["warnings"])
+    text = run(f"evaluate {words} --estimators oee --verbose --report page.html")
+    page = unescape((folder / "page.html").read_text())
+    for note in notes:
+        assert note in " ".join(text.split())
+        assert note in page
+    assert page.count(notes[0]) == 1
+    # they change no default text but for the number of notes that it leaves out
+    assert notes[0] not in " ".join(run(f"evaluate {words} --estimators oee").split())
+    compared = f"compare {words} --policy optimal --quick"
+    assert set(notes) <= set(json.loads(run(f"{compared} --json"))["warnings"])
+    assert notes[0] in " ".join(run(f"{compared} --verbose").split())
+    planned = run(f"plan {words} --transitions 20 --json")
+    assert json.loads(planned)["log_notes"] == notes
+    logs = words.replace("--policy uniform", "--running uniform")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit):
+            main(["improve", *logs.split(), "--json"])
+    assert json.loads(capsys.readouterr().out)["log_notes"] == notes

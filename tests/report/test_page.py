@@ -3,14 +3,17 @@ needs nothing from outside.
 """
 
 import base64
+import itertools
 import math
 import os
 import re
 import shlex
 import subprocess
 import sys
+from html import unescape
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import Page, run_command
 
@@ -446,6 +449,49 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(
     advice = advice.removeprefix("- ")
     assert advice in capsys.readouterr().out
     assert advice.replace("'", "&#39;") in text
+
+
+def test_the_page_s_command_reads_the_log_as_the_page_s_own_did(
+    tmp_path, monkeypatch, capsys
+):
+    """Columns with other labels, in several files; all options that a plan knows."""
+    monkeypatch.chdir(tmp_path)
+    grid = oee.tasks.gridworld(3, slip=0.3, discount=0.9)
+    names = [f"cell {s}" for s in range(9)]
+    grid.with_names(names, ["n", "e", "s", "w"]).save("sim.npz")
+    table = pd.DataFrame(problem().log.columns())
+    labels = {"state": "was at", "action": "did", "next_state": "came=to"}
+    for label in ("state", "next_state"):
+        table[label] = [names[s] for s in table[label]]
+    table = table[list(labels)].rename(columns=labels)
+    table[:30].to_csv("first.csv", index=False)
+    table[30:].to_csv("second.csv", index=False)
+    options = ["--initial", "cell 0", "--box", ",50", "--confidence", "0.9"]
+    for name, label in labels.items():
+        options += ["--column", f"{name}={label}"]
+    words = ["evaluate", "--simulator", "sim.npz", "--log", "first.csv"]
+    words += ["--log", "second.csv", *options, "--report", "page.html"]
+    assert run_command(*words) == 0
+    text = (tmp_path / "page.html").read_text()
+    command = unescape(re.search(r"<pre[^>]*><code>(.*?)</code>", text, re.S)[1])
+    typed = shlex.split(command)
+    assert {("--column", f"{a}={b}") for a, b in labels.items()} <= set(
+        itertools.pairwise(typed)
+    )
+    assert set(options) <= set(typed)
+    capsys.readouterr()
+    assert run_command(*typed[1:]) == 0
+    shown = capsys.readouterr().out
+    assert "next.npy" in shown
+    assert "90%" in shown
+
+
+def test_no_command_plans_for_the_probability_of_success(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    problem().log.save("log.csv")
+    words = "evaluate --simulator gridworld:3,slip=0.3 --log log.csv --success 8"
+    assert run_command(*words.split(), "--report", "page.html") == 0
+    assert "oee plan" not in (tmp_path / "page.html").read_text()
 
 
 def test_importance_sampling_without_weight_is_left_out_of_the_default_table():

@@ -510,7 +510,7 @@ def test_what_a_policy_is_worth(changes, sentence):
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are less frequent in the target (z = -29.0 standard"
                 " deviations, over all recorded transitions together). 1 of the 739"
-                " recorded state-action pairs differs surely when tested alone."
+                " tested state-action pairs differs surely by itself."
             ),
         ),
         (
@@ -519,13 +519,13 @@ def test_what_a_policy_is_worth(changes, sentence):
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are even more frequent in the target (z = 24.5 standard"
                 " deviations, over all recorded transitions together). None of the"
-                " 1,200 recorded state-action pairs has enough transitions to show it"
-                " when tested alone."
+                " 1,200 tested state-action pairs has enough transitions to show it by"
+                " itself."
             ),
         ),
         (
             text.test_of_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
-            "Each of the 6 recorded state-action pairs differs surely when tested alone.",
+            "Each of the 6 tested state-action pairs differs surely by itself.",
         ),
         (
             text.test_of_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],
@@ -535,7 +535,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.test_of_simulator(0.52, 3, 40, is_rejected=False),
             (
                 "The target differs from the simulator. The recorded transitions show"
-                " it: 3 of the 40 recorded state-action pairs do so by themselves. In all"
+                " it: 3 of the 40 tested state-action pairs do so by themselves. In all"
                 " of them together, what the simulator calls likely is as frequent as it"
                 " says (z = 0.5)."
             ),
@@ -543,7 +543,7 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.test_of_simulator(0.52, 1, 40, is_rejected=False).split(". ")[1],
             (
-                "The recorded transitions show it: 1 of the 40 recorded state-action"
+                "The recorded transitions show it: 1 of the 40 tested state-action"
                 " pairs does so by itself"
             ),
         ),
@@ -551,7 +551,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.test_of_simulator(-1.2, 0, 40, is_rejected=False),
             (
                 "The data show no significant difference from the simulator in the 40"
-                " recorded state-action pairs, neither together (z = -1.2) nor one by"
+                " tested state-action pairs, neither together (z = -1.2) nor one by"
                 " one. A short log cannot show a small one."
             ),
         ),
@@ -559,7 +559,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.test_of_simulator(0.0, 0, 1, is_rejected=False),
             (
                 "The data show no significant difference from the simulator in the one"
-                " recorded state-action pair (z = 0.0). A short log cannot show a small"
+                " tested state-action pair (z = 0.0). A short log cannot show a small"
                 " one."
             ),
         ),

@@ -359,7 +359,7 @@ def test_much_data_of_another_environment():
     far, sure, advice = found.uncertainty.sentences
     assert far.startswith("The target differs from the simulator. Outcomes that")
     assert far.endswith(
-        "Each of the 60 recorded state-action pairs differs surely when tested alone."
+        "Each of the 60 tested state-action pairs differs surely by itself."
     )
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
@@ -496,6 +496,78 @@ def test_missing_likelihood_intervals_are_reported():
         "There are no likelihood intervals: quick=True (--quick) leaves them out.",
     )
     assert quick.records()[0]["model_value"] == full.records()[0]["model_value"]
+
+
+def test_legends_say_how_each_row_s_interval_was_made():
+    """A search's ends are no value ± standard errors, and a widened interval no search's.
+
+    The same estimator has both where only one policy reaches unrecorded pairs.
+    """
+    whole = oee.evaluate(even(900), MINE, estimators=["oee"])
+    found = whole.uncertainty.likelihood["policy"]
+    assert (found.lower, found.upper) == found.worst_case
+    (searched,) = whole.legend(whole.records())
+    assert searched == (
+        "95% interval of oee (likelihood): every value that the log does not reject."
+    )
+    # state 0 has two actions: "known" is recorded in all it does, "new" is not
+    simulator = oee.FiniteMDP(
+        [[[0.5, 0.5], [0.4, 0.6]], [[0.0, 1.0], [0.0, 1.0]]], [[1.0] * 2, [0.0] * 2],
+        [1.0, 0.0], 0.9,
+    )  # fmt: skip
+    log = oee.Transitions([0] * 40, [0] * 40, [0, 1] * 20)
+    both = oee.evaluate(
+        Problem(simulator, log),
+        {"known": [0, 0], "new": [[0.9, 0.1], [1.0, 0.0]]},
+        estimators=["oee"],
+    )
+    first, second = both.legend(both.records())
+    assert first == searched.replace("oee", "oee of “known”")
+    assert second.startswith("95% interval of oee of “new” (likelihood): oee's value ±")
+    assert "widened by what state-action pairs" in second
+    assert first in both.to_text(verbose=True).replace("\n", " ")
+    page = both.to_html()
+    for start in ("likelihood (oee of “known”)</dt><dd>Every value that the log",
+                  "likelihood (oee of “new”)</dt><dd>Oee's value ± normal"):  # fmt: skip
+        assert start in page.replace("&#39;", "'")
+    as_estimated = oee.evaluate(
+        Problem(simulator, log), {"new": [1, 0]}, estimators=["oee"], unrecorded=1.0
+    )
+    assert "behave as estimated" in as_estimated.legend(as_estimated.records())[0]
+
+
+def test_legends_say_which_intervals_are_cut():
+    """Near the largest value possible a normal quantile reaches beyond it."""
+    simulator = oee.FiniteMDP(
+        [[[0.8, 0.15, 0.05]], [[0.05, 0.85, 0.1]], [[0.0, 0.0, 1.0]]],
+        [[1.0], [1.0], [0.0]],
+        [1.0, 0.0, 0.0],
+        0.9,
+    )
+    log = oee.Transitions([0] * 30, [0] * 30, [0] * 28 + [1, 2])
+    for quick in (False, True):
+        report = oee.evaluate(
+            Problem(simulator, log), [0, 0, 0], estimators=["oee"], quick=quick
+        )
+        (row,) = report.records()
+        assert_allclose(row["upper"], 10.0)
+        assert report.legend([row])[0].endswith("that the rewards allow.")
+    noisy = {"estimator": "mine", "interval_method": "standard error", "value": 1.0}
+    for upper, is_cut in ((2.0, False), (1.5, True)):
+        (told,) = report.legend([noisy | {"lower": 0.0, "upper": upper}])
+        assert told.endswith("that the rewards allow.") == is_cut
+
+
+def test_the_text_says_of_which_kind_the_answer_s_interval_is():
+    problem = even(300)
+    full = oee.evaluate(problem, MINE, confidence=0.9).to_text()
+    assert "The answer's interval is a likelihood interval." in " ".join(full.split())
+    quick = oee.evaluate(problem, MINE, confidence=0.9, quick=True).to_text()
+    assert "The answer's interval is value ± 1.64 standard errors." in " ".join(
+        quick.split()
+    )
+    two = oee.evaluate(problem, {"good": GOOD, "bad": BAD}).to_text()
+    assert "The answer's intervals are likelihood intervals." in " ".join(two.split())
 
 
 def test_a_box_that_the_log_contradicts():
