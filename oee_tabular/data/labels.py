@@ -429,8 +429,13 @@ def show_labels(labels: Sequence[Any]) -> str:
 
 
 def _text_of(label: Any) -> str:
-    """Return a label as text, whose own texts may raise anything."""
-    return label if isinstance(label, str) else _checks.show(label)
+    """Return a label as text, whose own texts may raise anything.
+
+    The index that pandas writes to a file has an empty label, which no reader sees.
+    """
+    if isinstance(label, str):
+        return label if label.strip() else "a column without a name"
+    return _checks.show(label)
 
 
 def suggest_label(label: Any, labels: Sequence[Any]) -> str:
@@ -526,7 +531,7 @@ def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
     if not left_out:
         return
     named = [
-        _checks.escape_controls(str(label)[:80]) or "'' (without a name)"
+        _checks.escape_controls(_text_of(label)[:80])
         for label in left_out[:MAX_SHOWN_COLUMNS]
     ]
     if len(left_out) > MAX_SHOWN_COLUMNS:
