@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from oee_tabular import _checks
 from oee_tabular._arguments import is_whole_number, whole_number
 from oee_tabular.exceptions import ArgumentError
 
-FIELDS = ("state", "action", "next_state", "probability", "reward")
+PROBABILITY = "probability"
+FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
 
@@ -45,7 +47,8 @@ def read_simulator(
     path : str
         The file.
     columns : mapping
-        What it calls the columns of a log, and probability.
+        What it calls the columns of a log, and probability. None for probability says
+        that each row is a sample.
     initial : str, optional
         The first state, by name or number. Samples with episodes say it themselves.
     discount : float, optional
@@ -56,7 +59,6 @@ def read_simulator(
     FiniteMDP
         The frequencies of the samples, or the probabilities of the table.
     """
-    from oee_tabular.data.aliases import POLICY_PROBABILITY, plain
     from oee_tabular.data.tables import read_labels
 
     start: Any = initial
@@ -65,8 +67,12 @@ def read_simulator(
     gamma = 0.99 if discount is None else discount
     is_read = path.lower().endswith((".csv", ".csv.gz", ".parquet"))
     labels = read_labels(path) if is_read and Path(path).is_file() else []
-    if not any(plain(label) in POLICY_PROBABILITY for label in labels):
-        log = oee.Transitions.load(path, columns=columns)
+    if not _has_probabilities(path, labels, columns):
+        own = dict(columns)
+        if own.pop(PROBABILITY, "") is None:
+            # frequencies have no use for the probabilities of a log's actions either
+            own.setdefault("behavior_probability", None)
+        log = oee.Transitions.load(path, columns=own)
         if start is None and log.episode is None:
             _require_initial(path)
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
@@ -74,6 +80,41 @@ def read_simulator(
         _require_initial(path)
     arguments = _read_probabilities(path, columns)
     return oee.FiniteMDP(initial=start, discount=gamma, **arguments)
+
+
+def _has_probabilities(
+    path: str, labels: list[str], columns: Mapping[str, Any]
+) -> bool:
+    """Return whether a table has a column of probabilities, or else holds samples.
+
+    Raises an ArgumentError for a label that may be another spelling of probability, as
+    the rows of a table without it would be samples.
+    """
+    from oee_tabular.data.aliases import (
+        DOUBTS,
+        POLICY_PROBABILITY,
+        find_field,
+        plain,
+        resembles_probability,
+    )
+
+    if PROBABILITY in columns:
+        return columns[PROBABILITY] is not None
+    if any(plain(label) in POLICY_PROBABILITY for label in labels):
+        return True
+    used = set(columns.values())
+    for label in labels:
+        is_known = label in used or plain(label) in DOUBTS
+        is_known |= find_field(label, has_vectors=False) is not None
+        if not is_known and resembles_probability(label):
+            word = _checks.escape_controls(shlex.quote(f"{PROBABILITY}={label:.80}"))
+            raise ArgumentError(
+                repr(path),
+                f"must have columns whose meaning is clear; {_checks.show(label)}"
+                f" resembles {PROBABILITY} (to read it: --column {word}; to leave it"
+                f" out, where each row is a sample: --column {PROBABILITY}=)",
+            )
+    return False
 
 
 def _require_initial(path: str) -> None:
@@ -153,7 +194,7 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
     from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
-    from oee_tabular.data.labels import show_labels, warn_left_out
+    from oee_tabular.data.labels import show_labels, suggest_label, warn_left_out
     from oee_tabular.data.tables import csv_frame
 
     name = repr(path)
@@ -181,12 +222,13 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
             ]
             label = field if field in likely else (likely or [None])[0]
         if label not in list(frame.columns):
-            option = f" (--column {field}=LABEL)" if field != "probability" else ""
+            free = [each for each in frame.columns if each not in used]
             raise ArgumentError(
                 name,
                 "must have the columns state, action, next_state, probability and"
                 f" reward; it has {show_labels(list(frame.columns))}, and none is"
-                f" {field}{option}",
+                f" {label or field} (--column {field}=LABEL)"
+                f"{suggest_label(label or field, free)}",
             )
         used.append(label)
         values = frame[label].to_numpy()

@@ -22,6 +22,7 @@ from oee_tabular.data.aliases import (
     OTHER_WORDS,
     Doubt,
     find_field,
+    find_near_label,
     plain,
     stem,
 )
@@ -389,9 +390,12 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
         absent = [field for field in COLUMNS if field not in known]
         near = difflib.get_close_matches(text[:80], absent, n=1, cutoff=0.8)
         near += [field for field in absent if sorted(field) == sorted(text)]
-        if not near:
+        if near:
+            doubt = Doubt((near[0],), f"resembles {near[0]}", (frozenset(near[:1]),))
+        else:
+            doubt = _doubt_of_misspelt(text)
+        if doubt is None:
             return
-        doubt = Doubt((near[0],), f"resembles {near[0]}", (frozenset(near[:1]),))
     if any(fields <= known for fields in doubt.settled_by):
         return
     meaning = doubt.meaning
@@ -411,6 +415,19 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
         f"must have columns whose meaning is clear; {_checks.show(label)} {meaning}"
         f" ({to_read}to leave it out: columns={out}, {words})",
     )
+
+
+def _doubt_of_misspelt(text: str) -> Doubt | None:
+    """Return the doubt about a label that misspells another project's, or None."""
+    meant = find_near_label(text[:80])
+    if meant is None:
+        return None
+    doubt = DOUBTS.get(meant)
+    if doubt is not None:
+        return doubt._replace(meaning=f"resembles {meant}, which {doubt.meaning}")
+    field = stem(FIELDS[meant])
+    meaning = f"resembles {meant}, a label of {field}"
+    return Doubt((field,), meaning, (frozenset({field}),))
 
 
 def show_way(field: str, label: Any) -> str:

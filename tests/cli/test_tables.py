@@ -164,3 +164,59 @@ def test_folders_by_an_action_of_another_name(tmp_path):
     for read in (oee.Transitions.load, oee.Transitions.open):
         with pytest.raises(ValueError, match="folders by cmd part the rows of an"):
             read(tmp_path, columns={"action": "cmd", "timestep": None})
+
+
+@pytest.mark.parametrize(
+    "label",
+    ["probabilty", "Porbability", "propability", "transition_prob", "proba", "P next"],
+)
+def test_a_column_that_may_be_the_probability_is_asked_after(run, folder, label):
+    grid = oee.FiniteMDP.load("sim.npz")
+    table = table_of(grid).rename(columns={"probability": label})
+    table.to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert f"'{label}' resembles probability (to read it: --column " in told
+    assert not (folder / "made.npz").exists()
+    run(f"export t.csv --initial r0c0 --column 'probability={label}' --output made.npz")
+    made = oee.FiniteMDP.load("made.npz")
+    assert_allclose(
+        oee.policy_value(made, oee.uniform_policy(made)),
+        oee.policy_value(grid.with_discount(0.99), oee.uniform_policy(grid)),
+    )
+    run("export t.csv --initial r0c0 --column probability= --output of_samples.npz")
+    assert oee.FiniteMDP.load("of_samples.npz").sampling is not None
+
+
+def test_a_misspelt_column_of_a_table_of_probabilities_is_named(run, folder):
+    table = table_of(oee.FiniteMDP.load("sim.npz"))
+    table.rename(columns={"reward": "rewrad"}).to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert "none is reward (--column reward=LABEL) (did you mean 'rewrad'?)" in told
+    table.to_csv("t.csv", index=False)
+    words = "--column probability=weight"
+    told = run(f"export t.csv {words} --initial r0c0 --output made.npz", code=2)
+    assert "none is weight (--column probability=LABEL)" in told
+
+
+@pytest.mark.parametrize(
+    ("label", "meant"),
+    [
+        ("probabilty", "behavior_probability"),
+        ("action_probabilty", "behavior_probability"),
+        ("propensty_score", "behavior_probability"),
+        ("is_terminl", "terminated"),
+        ("episode_indx", "episode"),
+        ("epsiode_index", "episode"),
+    ],
+)
+def test_misspelt_labels_of_other_projects_are_asked_after(tmp_path, label, meant):
+    frame = pd.DataFrame({"state": [0, 0], "action": 0, "next_state": 0, label: 1})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(ValueError, match=f"{label}' resembles .*{meant}"):
+            read(tmp_path / "log.csv")
+        with pytest.warns(oee.exceptions.DataWarning, match=f"left out: {label}"):
+            read(tmp_path / "log.csv", columns={meant: None})
+    for other in ("action_prob_2", "episode_reward", "step_cost", "probe", "stability"):
+        with pytest.warns(oee.exceptions.DataWarning, match=other):
+            oee.Transitions.from_frame(frame[frame.columns[:3]].assign(**{other: 1}))
