@@ -12,7 +12,7 @@ import numpy as np
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks
 from oee_tabular._arguments import is_whole_number, whole_number
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 
 PROBABILITY = "probability"
 FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
@@ -149,6 +149,8 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
             f" {state[k]}, {action[k]}, {following[k]} has another",
         )
     ends = np.setdiff1d(np.arange(n_states), number[:n])
+    if states is not None:
+        _warn_of_misspelt(path, number, ends, states)
     loops = (ends[:, None] * n_actions + np.arange(n_actions)).ravel()
     shape = (n_states * n_actions, n_states)
     rows = np.concatenate([rows, loops])
@@ -163,6 +165,35 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
         "state_names": states,
         "action_names": actions,
     }
+
+
+def _warn_of_misspelt(path: str, number: Any, ends: Any, states: list[Any]) -> None:
+    """Warn of terminal states whose names may be misspellings of other states'.
+
+    ``number``: the states of the rows, and then their next states.
+    """
+    from oee_tabular.data.tables import describe_row
+    from oee_tabular.mdp import find_misspelt_ends
+
+    is_end = np.zeros(len(states), dtype=np.bool_)
+    is_end[ends] = True
+    n_rows = np.bincount(number, minlength=len(states))
+    notes = []
+    for name, other in find_misspelt_ends(states, is_end, n_rows):
+        row = np.flatnonzero(number == states.index(name))[0] - len(number) // 2
+        notes.append((int(row), name, other))
+    if not notes:
+        return
+    row, name, other = notes[0]
+    more = f" ({len(notes)} such states in all)" if len(notes) > 1 else ""
+    _checks.warn(
+        f"{path!r}: {describe_row(path, row)}: next_state {_checks.show(name)} resembles"
+        f" the state {_checks.show(other)}, and no row begins in it: it is read as"
+        f" another state, which is terminal{more}. If it is misspelt, write"
+        f" {_checks.show(other)}; if it is meant, give it a row for each action that"
+        " leads back to it with probability 1 and reward 0",
+        DataWarning,
+    )
 
 
 def _require_every_action(

@@ -942,6 +942,11 @@ def _find_line(path: str, row: int) -> Line:
     return next(itertools.islice(lines, row + 1, None), Line(0, []))
 
 
+def describe_row(path: str, row: int) -> str:
+    """Return the place of a row of a CSV file in words, ``row 3 (line 5)``."""
+    return f"row {row} (line {_find_line(_files.local(path), row).number})"
+
+
 def csv_frame(path: str, *, has_flags: bool = True) -> Any:
     """Read a CSV file with a header as a DataFrame, its numbers to the last bit.
 

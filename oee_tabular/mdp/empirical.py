@@ -26,6 +26,7 @@ from oee_tabular.mdp.naming import (
     Name,
     Names,
     check_names,
+    find_misspelt_ends,
     initial_distribution,
     renumber,
 )
@@ -101,6 +102,8 @@ def log_arguments(
     n_actions, actions, (action,) = _resolve(
         log, "action", ("action",), sizes[1], names[1]
     )
+    if names[0] is None and states is not None:
+        _warn_of_misspelt(log, states, state, following)
     given = ("n_actions", n_actions) if n_actions > n_states else ("n_states", n_states)
     _checks.require_memory(NUMBERS_PER_PAIR * n_states * n_actions, *given)
     reward = _log_rewards(log, rewards)
@@ -130,6 +133,38 @@ def log_arguments(
         can = _check_available(available, called, (n_states, n_actions), state, action)
     samples = Samples(outcomes, starts, called, (n_states, n_actions), can)
     return frequency_arguments(samples, initial=law, rewards=rewards, layout=layout)
+
+
+def _warn_of_misspelt(
+    log: LogLike, names: tuple[Name, ...], state: IntArray, following: IntArray
+) -> None:
+    """Warn of states that no row leaves whose names may be misspellings of others'.
+
+    A state that rows enter by termination alone is one in which the task ends.
+    """
+    is_end = np.ones(len(names), dtype=np.bool_)
+    is_end[state] = False
+    is_entered = np.zeros(len(names), dtype=np.bool_)
+    is_entered[following[~log.terminated]] = True
+    n_rows = np.bincount(np.concatenate([state, following]), minlength=len(names))
+    pairs = [
+        (name, other)
+        for name, other in find_misspelt_ends(names, is_end, n_rows)
+        if is_entered[names.index(name)]
+    ]
+    if not pairs:
+        return
+    name, other = pairs[0]
+    row = int(np.flatnonzero(following == names.index(name))[0])
+    more = f" ({len(pairs)} such states in all)" if len(pairs) > 1 else ""
+    _checks.warn(
+        f"log.next_state[{row}] {_checks.show(name)} resembles the state"
+        f" {_checks.show(other)}, and no row begins in it: it is read as another state,"
+        f" in which episodes stay{more}. If it is misspelt, write {_checks.show(other)};"
+        " if it is meant, write terminated in the rows that lead to it, or give it a"
+        " row of its own",
+        DataWarning,
+    )
 
 
 def _check_available(

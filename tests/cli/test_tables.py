@@ -1,6 +1,7 @@
 """Simulators from tables, and what a log's messages propose."""
 
 import json
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular.cli.simulators import read_simulator
 
 
 def table_of(mdp, *, has_names=True):
@@ -220,3 +222,36 @@ def test_misspelt_labels_of_other_projects_are_asked_after(tmp_path, label, mean
     for other in ("action_prob_2", "episode_reward", "step_cost", "probe", "stability"):
         with pytest.warns(oee.exceptions.DataWarning, match=other):
             oee.Transitions.from_frame(frame[frame.columns[:3]].assign(**{other: 1}))
+
+
+ROUTES = [("hall", "go", "door"), ("door", "go", "yard"), ("yard", "go", "hall")]
+
+
+@pytest.mark.parametrize(
+    ("row", "name", "other"),
+    [(0, "dorr", "door"), (1, "Yard", "yard"), (2, "halll", "hall"), (0, "doo", "")],
+)
+def test_a_misspelt_next_state_is_named_with_its_line(folder, row, name, other):
+    rows = [[*each, 0.5, 1.0] for each in ROUTES]
+    rows += [[*each[:2], "the end", 0.5, 0.0] for each in ROUTES]
+    rows.append(["yard", "go", name, 0.25, 0.0])
+    rows[2][3] = 0.25
+    rows.insert(row, rows.pop())
+    text = "state,action,next_state,probability,reward\n\n"
+    text += "\n".join(",".join(map(str, each)) for each in rows)
+    (folder / "t.csv").write_text(text)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = read_simulator("t.csv", {}, "hall", 0.9)
+    found = [str(each.message) for each in told]
+    assert len(found) == bool(other)
+    if other:
+        place = f"'t.csv': row {row} (line {row + 3}): next_state"
+        assert found[0].startswith(
+            f"{place} '{name}' resembles the state '{other}', and"
+        )
+    assert made.absorbing()[made.state_names.index(name)]
+    # a row of its own says that it is meant
+    (folder / "t.csv").write_text(f"{text}\n{name},go,{name},1,0")
+    made = read_simulator("t.csv", {}, "hall", 0.9)
+    assert made.absorbing()[made.state_names.index(name)]
