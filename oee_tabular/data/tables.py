@@ -650,6 +650,9 @@ def _csv_errors(path: str) -> Iterator[None]:
         OverflowError,
         Warning,
     ) as error:
+        # pandas has no class of its own for what its parser cannot allocate
+        if str(error).endswith("out of memory"):
+            raise MemoryError(f"{path!r} has more rows than memory holds") from None
         raise ArgumentError(
             f"{path!r}", f"must be a CSV table with a header; {error}"
         ) from None
