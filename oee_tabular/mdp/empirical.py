@@ -5,6 +5,8 @@ The samples of an environment are drawn by ``tasks.exploring``, which steps it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
 from oee_tabular.mdp.arrays import check_available, check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
-from oee_tabular.mdp.logs import LogLike, require_log
+from oee_tabular.mdp.logs import LogLike, require_log, source_of_row
 from oee_tabular.mdp.naming import (
     Name,
     Names,
@@ -130,7 +132,9 @@ def log_arguments(
     called = Names(states, actions)
     can = None
     if available is not None:
-        can = _check_available(available, called, (n_states, n_actions), state, action)
+        shape = (n_states, n_actions)
+        source_of = partial(source_of_row, log)
+        can = _check_available(available, called, shape, (state, action), source_of)
     samples = Samples(outcomes, starts, called, (n_states, n_actions), can)
     return frequency_arguments(samples, initial=law, rewards=rewards, layout=layout)
 
@@ -158,7 +162,7 @@ def _warn_of_misspelt(
     row = int(np.flatnonzero(following == names.index(name))[0])
     more = f" ({len(pairs)} such states in all)" if len(pairs) > 1 else ""
     _checks.warn(
-        f"log.next_state[{row}] {_checks.show(name)} resembles the state"
+        f"log.next_state[{row}]{source_of_row(log, row)} {_checks.show(name)} resembles the state"
         f" {_checks.show(other)}, and no row begins in it: it is read as another state,"
         f" in which episodes stay{more}. If it is misspelt, write {_checks.show(other)};"
         " if it is meant, write terminated in the rows that lead to it, or give it a"
@@ -171,10 +175,14 @@ def _check_available(
     value: object,
     names: Names,
     shape: tuple[int, int],
-    state: IntArray,
-    action: IntArray,
+    pairs: tuple[IntArray, IntArray],
+    source_of: Callable[[int], str],
 ) -> BoolArray:
-    """Check which actions can be taken, and that a log's transitions are of these."""
+    """Check which actions can be taken, and that a log's transitions are of these.
+
+    ``source_of`` returns the file that a row is of, in words.
+    """
+    state, action = pairs
     checked = check_available(value, names.states, names.actions)
     if checked.mask.shape != shape:
         raise ArgumentError(
@@ -187,7 +195,7 @@ def _check_available(
         pair = state[bad[0]], action[bad[0]]
         more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
         raise ArgumentError(
-            f"log[{bad[0]}]",
+            f"log[{bad[0]}]{source_of(int(bad[0]))}",
             "must have an action that can be taken in its state; in state"
             f" {names.state(pair[0])} action {names.action(pair[1])} cannot be taken,"
             f" and is{more}: {_checks.place('available', pair)} is False",
@@ -234,8 +242,9 @@ def _resolve(
     if called is not None:
         called = check_names(called, f"{label}_names", number)
     if own is not None:
+        source_of = partial(source_of_row, log)
         codes = [
-            renumber(each, own, called, number, f"log.{name}")
+            renumber(each, own, called, number, f"log.{name}", source_of)
             for each, name in zip(codes, columns, strict=True)
         ]
     return number, called, codes

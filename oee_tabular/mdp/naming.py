@@ -492,16 +492,19 @@ def renumber(
     names: tuple[Name, ...] | None,
     size: int,
     name: str,
+    source_of: Callable[[int], str] | None = None,
 ) -> IntArray:
     """Return numbers by a log's own names as numbers by an MDP's names.
 
     Raises a ValueError with the first row whose name the MDP does not have.
+    ``source_of`` returns the file that a row is of, in words.
     """
     known = {} if names is None else numbers_of(names)
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
     bad = np.flatnonzero(numbers < 0)
     if bad.size:
-        place = f"{name}[{bad[0]}]"
+        source = "" if source_of is None else source_of(int(bad[0]))
+        place = f"{name}[{bad[0]}]{source}"
         try:
             number_of(own[int(codes[bad[0]])], names, size, place, "the simulator's")
         except ArgumentError as error:
