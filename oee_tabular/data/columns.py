@@ -434,9 +434,9 @@ class LogColumns:
         folder ``column=value`` names a column of the files in it.
 
         Files that hold the same bytes are refused, and so are ``a.csv`` and
-        ``a.parquet`` with the same transitions. Warnings name two files that follow
-        each other and share runs of 20 rows or more, tables of a folder in a format
-        that is not read, and files without rows.
+        ``a.parquet`` with the same transitions. Warnings name two files that share runs
+        of 20 rows or more, or hold the same rows in another order, tables of a folder
+        in a format that is not read, and files without rows.
 
         Examples
         --------

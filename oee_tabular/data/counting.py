@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
+from oee_tabular._memory import free_memory
 from oee_tabular.data.copies import N_GROUPED_ROWS, EndRows, Print
 from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.joining import Row, order_hint
@@ -250,7 +251,7 @@ def name_missing_memory(path: str, n_different: Callable[[], int]) -> Iterator[N
         n = n_different()
     else:
         return
-    free = _checks.free_memory() / 2**30
+    free = free_memory() / 2**30
     raise MemoryError(
         f"{path!r} needs more memory than there is: it was over after {n} different"
         f" transitions, which take about {8 * NUMBERS_PER_ENTRY:.0f} bytes each while"

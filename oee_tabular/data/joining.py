@@ -21,7 +21,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
-from oee_tabular.data.copies import Namesakes, Overlaps, print_of
+from oee_tabular.data.copies import Namesakes, Overlaps, Reordered, print_of
 from oee_tabular.data.rules import WAY, settle_episodes
 from oee_tabular.data.tables import LogFile, describe_row
 from oee_tabular.exceptions import ArgumentError, DataWarning
@@ -347,7 +347,11 @@ def join_logs(
     warn_of_empty_files(empty, len(found))
     if len(logs) == 1:
         return logs[0]
-    paths = [file.path for file in found if file.path not in empty]
+    without_rows = set(empty)
+    paths = [file.path for file in found if file.path not in without_rows]
+    reordered = Reordered()
+    reordered.add_logs(paths, logs)
+    reordered.warn(overlaps.found)
     _require_one_kind(paths, logs)
     _require_different_looks(paths, logs)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks, _parallel
 from oee_tabular._progress import progress_bar
-from oee_tabular.data.copies import Namesakes, Overlaps, refuse_same_bytes
+from oee_tabular.data.copies import Namesakes, Overlaps, Reordered, refuse_same_bytes
 from oee_tabular.data.counting import (
     COUNTED,
     LARGEST,
@@ -201,6 +201,7 @@ def _add_files(
     folders = Folders()
     namesakes = Namesakes(files)
     overlaps = Overlaps()
+    reordered = Reordered()
     dropped: Counter[tuple[int, int]] = Counter()
     n_ended = 0
     empty: list[str] = []
@@ -218,6 +219,7 @@ def _add_files(
             empty.append(file.path)
         if counts.sums is not None:
             namesakes.add_sums(file.path, counts.sums)
+            reordered.add_sums(file.path, counts.sums)
             n_entries = sum(len(part["count"]) for part in (*sums, counts.sums))
             with name_missing_memory(file.path, partial(int, n_entries)):
                 _checks.require_memory(NUMBERS_PER_ENTRY * n_entries, file.path)
@@ -234,6 +236,7 @@ def _add_files(
         )
     warn_of(episodes.notes)
     overlaps.warn()
+    reordered.warn(overlaps.found)
     warn_of_empty_files(empty, len(files))
     recording = episodes.correct(recording)
     if n_ended:
