@@ -12,10 +12,11 @@ import numpy as np
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks
 from oee_tabular._arguments import is_whole_number, whole_number
-from oee_tabular.exceptions import ArgumentError
+from oee_tabular.exceptions import ArgumentError, DataWarning
 
 SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
-FIELDS = ("state", "action", "next_state", "probability", "reward")
+PROBABILITY = "probability"
+FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
 
@@ -48,7 +49,8 @@ def read_simulator(
     path : str
         The file.
     columns : mapping
-        What it calls the columns of a log, and probability.
+        What it calls the columns of a log, and probability. None for probability says
+        that each row is a sample.
     initial : str, optional
         The first state, by name or number. Samples with episodes say it themselves.
     discount : float, optional
@@ -59,7 +61,6 @@ def read_simulator(
     FiniteMDP
         The frequencies of the samples, or the probabilities of the table.
     """
-    from oee_tabular.data.aliases import POLICY_PROBABILITY, plain
     from oee_tabular.data.tables import read_labels
 
     start: Any = initial
@@ -68,8 +69,12 @@ def read_simulator(
     gamma = 0.99 if discount is None else discount
     is_read = path.lower().endswith((".csv", ".csv.gz", ".parquet"))
     labels = read_labels(path) if is_read and Path(path).is_file() else []
-    if not any(plain(label) in POLICY_PROBABILITY for label in labels):
-        log = oee.Transitions.load(path, columns=columns)
+    if not _has_probabilities(path, labels, columns):
+        own = dict(columns)
+        if own.pop(PROBABILITY, "") is None:
+            # frequencies have no use for the probabilities of a log's actions either
+            own.setdefault("behavior_probability", None)
+        log = oee.Transitions.load(path, columns=own)
         if start is None and log.episode is None:
             _require_initial(path)
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
@@ -77,6 +82,41 @@ def read_simulator(
         _require_initial(path)
     arguments = _read_probabilities(path, columns)
     return oee.FiniteMDP(initial=start, discount=gamma, **arguments)
+
+
+def _has_probabilities(
+    path: str, labels: list[str], columns: Mapping[str, Any]
+) -> bool:
+    """Return whether a table has a column of probabilities, or else holds samples.
+
+    Raises an ArgumentError for a label that may be another spelling of probability, as
+    the rows of a table without it would be samples.
+    """
+    from oee_tabular.data.aliases import (
+        DOUBTS,
+        POLICY_PROBABILITY,
+        find_field,
+        plain,
+        resembles_probability,
+    )
+
+    if PROBABILITY in columns:
+        return columns[PROBABILITY] is not None
+    if any(plain(label) in POLICY_PROBABILITY for label in labels):
+        return True
+    used = set(columns.values())
+    for label in labels:
+        is_known = label in used or plain(label) in DOUBTS
+        is_known |= find_field(label, has_vectors=False) is not None
+        if not is_known and resembles_probability(label):
+            word = _checks.escape_controls(shlex.quote(f"{PROBABILITY}={label:.80}"))
+            raise ArgumentError(
+                repr(path),
+                f"must have columns whose meaning is clear; {_checks.show(label)}"
+                f" resembles {PROBABILITY} (to read it: --column {word}; to leave it"
+                f" out, where each row is a sample: --column {PROBABILITY}=)",
+            )
+    return False
 
 
 def _require_initial(path: str) -> None:
@@ -111,6 +151,8 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
             f" {state[k]}, {action[k]}, {following[k]} has another",
         )
     ends = np.setdiff1d(np.arange(n_states), number[:n])
+    if states is not None:
+        _warn_of_misspelt(path, number, ends, states)
     loops = (ends[:, None] * n_actions + np.arange(n_actions)).ravel()
     shape = (n_states * n_actions, n_states)
     rows = np.concatenate([rows, loops])
@@ -125,6 +167,35 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
         "state_names": states,
         "action_names": actions,
     }
+
+
+def _warn_of_misspelt(path: str, number: Any, ends: Any, states: list[Any]) -> None:
+    """Warn of terminal states whose names may be misspellings of other states'.
+
+    ``number``: the states of the rows, and then their next states.
+    """
+    from oee_tabular.data.tables import describe_row
+    from oee_tabular.mdp import find_misspelt_ends
+
+    is_end = np.zeros(len(states), dtype=np.bool_)
+    is_end[ends] = True
+    n_rows = np.bincount(number, minlength=len(states))
+    notes = []
+    for name, other in find_misspelt_ends(states, is_end, n_rows):
+        row = np.flatnonzero(number == states.index(name))[0] - len(number) // 2
+        notes.append((int(row), name, other))
+    if not notes:
+        return
+    row, name, other = notes[0]
+    more = f" ({len(notes)} such states in all)" if len(notes) > 1 else ""
+    _checks.warn(
+        f"{path!r}: {describe_row(path, row)}: next_state {_checks.show(name)} resembles"
+        f" the state {_checks.show(other)}, and no row begins in it: it is read as"
+        f" another state, which is terminal{more}. If it is misspelt, write"
+        f" {_checks.show(other)}; if it is meant, give it a row for each action that"
+        " leads back to it with probability 1 and reward 0",
+        DataWarning,
+    )
 
 
 def _require_every_action(
@@ -155,7 +226,7 @@ def _require_every_action(
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
-    from oee_tabular.data.labels import show_labels, warn_left_out
+    from oee_tabular.data.labels import show_labels, suggest_label, warn_left_out
     from oee_tabular.data.tables import csv_frame
 
     name = repr(path)
@@ -174,12 +245,13 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     for field in FIELDS:
         label = _find_label(field, list(frame.columns), columns)
         if label not in list(frame.columns):
-            option = f" (--column {field}=LABEL)" if field != "probability" else ""
+            free = [each for each in frame.columns if each not in used]
             raise ArgumentError(
                 name,
                 "must have the columns state, action, next_state, probability and"
                 f" reward; it has {show_labels(list(frame.columns))}, and none is"
-                f" {field}{option}",
+                f" {label or field} (--column {field}=LABEL)"
+                f"{suggest_label(label or field, free)}",
             )
         used.append(label)
         values = frame[label].to_numpy()

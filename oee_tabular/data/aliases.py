@@ -8,6 +8,7 @@ Spinning Up, TF-Agents, RLDS, LeRobot, robomimic, Acme, Open Bandit and SCOPE-RL
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
@@ -288,6 +289,42 @@ OTHER_WORDS = {
     "episodic",
     "forward",
 }
+
+
+# A label with a letter wrong is found among labels of this many letters and more. Among
+# shorter ones, too many words are near.
+MIN_LETTERS_OF_MISSPELT = 8
+WORDS_OF_PROBABILITY = {"prob", "probs", "proba", "probas", "p"}
+
+
+def find_near_label(text: str) -> str | None:
+    """Return the label of this table that a plain text misspells, or None.
+
+    Texts with other numbers are no misspellings, but columns of a series.
+    """
+    near = [
+        label
+        for label in (*FIELDS, *DOUBTS)
+        if len(label) >= MIN_LETTERS_OF_MISSPELT
+        and abs(len(label) - len(text)) <= 2
+        and (label[:3] == text[:3] or label[-3:] == text[-3:])
+        and re.findall(r"\d+", label) == re.findall(r"\d+", text)
+    ]
+    found = difflib.get_close_matches(text, near, n=1, cutoff=0.9)
+    return found[0] if found else None
+
+
+def resembles_probability(label: Any) -> bool:
+    """Return whether a word of a label means a probability, or misspells that word.
+
+    >>> resembles_probability("probabilty"), resembles_probability("availability")
+    (True, False)
+    """
+    return any(
+        word in WORDS_OF_PROBABILITY
+        or difflib.get_close_matches(word, ["probability", "probabilities"], cutoff=0.8)
+        for word in plain(label)[:80].split("_")
+    )
 
 
 def stem(field: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -16,7 +16,7 @@ from oee_tabular._keywords import suggest_keywords
 from oee_tabular.data import files
 from oee_tabular.data.copies import refuse_same_bytes
 from oee_tabular.data.frames import number_in_order
-from oee_tabular.data.joining import join_logs
+from oee_tabular.data.joining import Source, join_logs
 from oee_tabular.data.labels import ColumnsLike
 from oee_tabular.data.rules import (
     COLUMNS,
@@ -47,6 +47,8 @@ class LogColumns:
 
     FILES: ClassVar[files.Format]
     ALLOWS_MISSING_REWARDS: ClassVar[bool] = False
+    # the files of a log that is read from several, which set it for themselves
+    _sources: ClassVar[tuple[Source, ...]] = ()
 
     state: Column
     action: Column
@@ -150,6 +152,14 @@ class LogColumns:
     def _show(self, state: Column) -> Any:
         """Return one row's state as errors show it."""
         return state.tolist()
+
+    def _describe_source(self, row: int) -> str:
+        """Return the file of a row and its place there; empty for a single source."""
+        for source in self._sources:
+            if row < source.n_rows:
+                return f" ({source.place(row)} of {source.path!r})"
+            row -= source.n_rows
+        return ""
 
     def __len__(self) -> int:
         return len(self.state)
@@ -277,6 +287,11 @@ class LogColumns:
         >>> Transitions.concatenate([a, b]).episode
         array([0, 0, 1])
         """
+        return cls._concatenate(logs, "logs[{}]".format)
+
+    @classmethod
+    def _concatenate(cls, logs: Sequence[Self], call: Callable[[int], str]) -> Self:
+        """Join several logs to one; warnings call the k-th of them ``call(k)``."""
         parts = _checks.collection(logs, "logs", f"one or more {cls.__name__}")
         if not parts or not all(isinstance(log, cls) for log in parts):
             raise ArgumentError(
@@ -298,7 +313,7 @@ class LogColumns:
             k = next(k for k, part in enumerate(columns) if left_out[0] not in part)
             names = ", ".join(dict.fromkeys(left_out))
             _checks.warn(
-                f"left out of the joined log: {names}, which logs[{k}] lacks",
+                f"left out of the joined log: {names}, which {call(k)} lacks",
                 DataWarning,
             )
         if "episode" in joined:
@@ -419,9 +434,9 @@ class LogColumns:
         folder ``column=value`` names a column of the files in it.
 
         Files that hold the same bytes are refused, and so are ``a.csv`` and
-        ``a.parquet`` with the same transitions. Warnings name two files that follow
-        each other and share runs of 20 rows or more, tables of a folder in a format
-        that is not read, and files without rows.
+        ``a.parquet`` with the same transitions. Warnings name two files that share runs
+        of 20 rows or more, or hold the same rows in another order, tables of a folder
+        in a format that is not read, and files without rows.
 
         Examples
         --------

@@ -7,6 +7,12 @@ each of the two files. Runs may be the same by chance, as where little is random
 being the share of a row among those of its state in both files, the warning takes ::
 
     - sum_rows log2 p(row) >= MIN_BITS .
+
+Files that hold the same rows in another order are warned of by a digest that is a sum
+over rows. It takes the same bits of the numbers of rows of each kind, where n_k of the
+n_s rows of a state s are of kind k::
+
+    - log2 prod_s n_s! / prod_k n_k! prod_k (n_k / n_s)^n_k >= MIN_BITS .
 """
 
 from __future__ import annotations
@@ -19,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.rules import KEY, MOVE
@@ -380,3 +387,103 @@ class Overlaps:
             " them",
             DataWarning,
         )
+
+
+class Reordered:
+    """Find files that hold the same rows in another order, and warn of them."""
+
+    def __init__(self) -> None:
+        self.first: dict[tuple[int, ...], str] = {}
+        self.found: list[tuple[str, str, int]] = []
+
+    def add_logs(self, paths: Sequence[str], logs: Sequence[Any]) -> None:
+        """Compare logs, of which those of one number of rows are looked at closely.
+
+        Sums of columns tell most of them apart in a hundredth of the time of hashes.
+        """
+        groups = defaultdict[tuple[int, ...], list[int]](list)
+        for k, log in enumerate(logs):
+            groups[(len(log),)].append(k)
+        for of_size in [group for group in groups.values() if len(group) > 1]:
+            alike = defaultdict[tuple[int, ...], list[int]](list)
+            for k in of_size:
+                alike[_sum_columns(logs[k])].append(k)
+            for k in (k for group in alike.values() if len(group) > 1 for k in group):
+                columns = {
+                    label: _values_of(logs[k], label)
+                    for label in EndRows.LABELS
+                    if getattr(logs[k], label) is not None
+                }
+                rows = _mix([_hash(column) for column in columns.values()])
+                states = _hash(columns["state"])
+                _, first, number = np.unique(
+                    rows, return_index=True, return_counts=True
+                )
+                self._add(paths[k], rows, states[first], number)
+
+    def add_sums(self, path: str, sums: Mapping[str, Column]) -> None:
+        """Compare the sums of a file with those of the files before it.
+
+        Sums of rewards depend on the order of rows, by their last digits.
+        """
+        labels = (*KEY, "count", "reward_count", "reward_min", "reward_max")
+        # a nan, which is the least of no reward, has many bits
+        rows = _mix([_hash(np.nan_to_num(sums[label])) for label in labels])
+        self._add(path, rows, _hash(sums["state"]), sums["count"])
+
+    def _add(
+        self, path: str, rows: Hashes, states: Hashes, number: NDArray[Any]
+    ) -> None:
+        """Compare a file: its rows, and the number of each kind with its state."""
+        n = int(number.sum())
+        digest = (n, len(rows), int(rows.sum()))
+        other = self.first.setdefault(digest, path)
+        if other != path and _bits_of_numbers(states, number) >= MIN_BITS:
+            self.found.append((other, path, n))
+
+    def warn(self, known: Iterable[tuple[str, str, int]]) -> None:
+        """Warn of the files that are not ``known`` to share rows in the same order."""
+        told = {pair[:2] for pair in known}
+        found = [pair for pair in self.found if pair[:2] not in told]
+        if not found:
+            return
+        one, other, n_rows = found[0]
+        more = f" ({len(found)} such pairs of files in all)" if len(found) > 1 else ""
+        _checks.warn(
+            f"{one!r} and {other!r} hold the same {n_rows} rows, in another order, and"
+            f" count twice{more}: if one is a copy, leave it out",
+            DataWarning,
+        )
+
+
+def _values_of(log: Any, label: str) -> Column:
+    """Return a column of a log, names as the hashes of their texts."""
+    column: Column = getattr(log, label)
+    names = getattr(log, f"{label.removeprefix('next_')}_names", None)
+    if names is None:
+        return column
+    texts = np.empty(len(names), dtype=object)
+    texts[:] = names
+    return _hash(texts)[column].view(np.int64)
+
+
+def _sum_columns(log: Any) -> tuple[int, ...]:
+    """Return the sums of a log's columns, of rewards the sum of their bits."""
+    sums = []
+    for label in EndRows.LABELS:
+        if getattr(log, label) is not None:
+            values = _values_of(log, label)
+            if values.dtype.kind == "f":
+                values = (values.astype(np.float64) + 0.0).view(np.int64)
+            sums.append(int(values.sum(dtype=np.int64)))
+    return tuple(sums)
+
+
+def _bits_of_numbers(states: Hashes, number: NDArray[Any]) -> float:
+    """Return the bits of the numbers of rows of each kind, in each state."""
+    n_k = number.astype(np.float64)
+    _, code = np.unique(states, return_inverse=True)
+    n_s = np.bincount(code, weights=n_k)
+    logs = gammaln(n_s + 1.0).sum() - gammaln(n_k + 1.0).sum()
+    logs += (n_k * np.log(n_k / n_s[code])).sum()
+    return float(-logs / np.log(2.0))

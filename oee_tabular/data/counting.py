@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oee_tabular import _checks
+from oee_tabular._memory import free_memory
 from oee_tabular.data.copies import N_GROUPED_ROWS, EndRows, Print
 from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.joining import Row, order_hint
@@ -50,6 +53,9 @@ from oee_tabular.typing import BoolArray, Column, IntArray
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
 MAX_SAMPLE_FACTOR = 2  # rows that are kept before the sample is cut, of those wanted
 LAST_PLACE = 2**64 - 1
+# of 8 bytes each, that a different transition has while sums are joined: nine columns
+# twice, its key, and the places of its sums
+NUMBERS_PER_ENTRY = 26.0
 
 # the first row of a fault, its place, the broken rule, and the number of rows
 FirstFault: TypeAlias = tuple[int, str, str, int]
@@ -206,6 +212,17 @@ class FileCounts(NamedTuple):
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; its ``name`` is hashed for the sample."""
+    counts: list[_FileCount] = []
+    with name_missing_memory(
+        file.path, lambda: sum(count.n_different() for count in counts)
+    ):
+        table = _open_any(file, limits)
+        counts.append(_FileCount(file, limits, name, table))
+        return _count_table(counts[0], table)
+
+
+def _open_any(file: LogFile, limits: Limits) -> Table:
+    """Return the table in a file; an npz or a Minari data set is read whole."""
     form = Transitions.FILES.with_columns(limits.columns)
     if file.suffix in (".csv", ".parquet"):
         table = open_table(file, form)
@@ -218,7 +235,35 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         own = match_own(file, labels)
         whole = add_folders(file, own, whole)
         table = Table(labels, list(whole.columns), [whole], own)
-    count = _FileCount(file, limits, name, table)
+    return table
+
+
+@contextmanager
+def name_missing_memory(path: str, n_different: Callable[[], int]) -> Iterator[None]:
+    """Let a MemoryError say what is needed, what is free, and what helps.
+
+    ``n_different`` returns the number of different transitions so far.
+    """
+    try:
+        yield
+    except MemoryError:
+        # its own words, if any, say neither what is free nor what helps
+        n = n_different()
+    else:
+        return
+    free = free_memory() / 2**30
+    raise MemoryError(
+        f"{path!r} needs more memory than there is: it was over after {n} different"
+        f" transitions, which take about {8 * NUMBERS_PER_ENTRY:.0f} bytes each while"
+        f" more are added; {free:.3g} GiB are free (count in fewer processes, jobs=1;"
+        " leave out columns, columns={'episode': None}; or merge states that need not"
+        " be told apart)"
+    )
+
+
+def _count_table(count: _FileCount, table: Table) -> FileCounts:
+    """Count all rows of a table, whose file is that of the empty ``count``."""
+    file = count.file
     has_episodes = not {"episode", "timestep"}.isdisjoint(table.known)
     can_group = file.suffix == ".parquet" and not has_episodes
     if not (can_group and count.add_groups(table)):
@@ -279,6 +324,10 @@ class _FileCount:
         # the rows that may be in the sample, with their run
         self.kept: list[dict[str, Column]] = []
         self.limit = LAST_PLACE
+
+    def n_different(self) -> int:
+        """Return the number of sums so far, of which some may be of one transition."""
+        return sum(len(part["count"]) for part in self.sums)
 
     def add_groups(self, table: Table) -> bool:
         """Add the whole of a parquet file without episodes, summed by DuckDB.
@@ -366,6 +415,8 @@ class _FileCount:
         self.n_dropped += len(piece.lost) + int(is_bad.sum())
         if "truncated" in good:
             self.n_truncated += int(good["truncated"].sum())
+        n_entries = self.n_different() + len(good["state"])
+        _checks.require_memory(NUMBERS_PER_ENTRY * n_entries, repr(self.path))
         add_sums(self.sums, good)
         if self.limits.has_others:
             self.ends_rows.add(good)

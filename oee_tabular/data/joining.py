@@ -13,16 +13,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
-from oee_tabular.data.copies import Namesakes, Overlaps, print_of
+from oee_tabular.data.copies import Namesakes, Overlaps, Reordered, print_of
 from oee_tabular.data.rules import WAY, settle_episodes
-from oee_tabular.data.tables import LogFile
+from oee_tabular.data.tables import LogFile, describe_row
 from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.mdp import check_names
 from oee_tabular.typing import BoolArray, Column
 
 TIMESTEP = "timestep[0]"
@@ -38,6 +41,21 @@ class Row(NamedTuple):
     path: str
     values: Mapping[str, Any]
     is_sound: bool = True
+
+
+class Source(NamedTuple):
+    """Hold a file of a log of several files, and its number of rows."""
+
+    path: str
+    n_rows: int
+
+    def place(self, row: int) -> str:
+        """Return the place of a row of the file in words: its line in a CSV file."""
+        if LogFile(self.path).suffix == ".csv":
+            # the file may be gone, or another one, by now
+            with suppress(OSError, ValueError):
+                return describe_row(self.path, row)
+        return f"row {row}"
 
 
 class Verdict(NamedTuple):
@@ -329,11 +347,57 @@ def join_logs(
     warn_of_empty_files(empty, len(found))
     if len(logs) == 1:
         return logs[0]
-    paths = [file.path for file in found if file.path not in empty]
+    without_rows = set(empty)
+    paths = [file.path for file in found if file.path not in without_rows]
+    reordered = Reordered()
+    reordered.add_logs(paths, logs)
+    reordered.warn(overlaps.found)
     _require_one_kind(paths, logs)
-    if not any(is_one):
-        return cls.concatenate(logs)
-    return _join(cls, logs, is_one)
+    _require_different_looks(paths, logs)
+
+    def call(k: int) -> str:
+        """Return what warnings call the k-th log."""
+        return repr(paths[k])
+
+    whole = cls._concatenate(logs, call)
+    if any(is_one):
+        whole = _join(cls, whole, logs, is_one)
+    sources = zip(paths, map(len, logs), strict=True)
+    object.__setattr__(whole, "_sources", tuple(Source(*each) for each in sources))
+    return whole
+
+
+def _require_different_looks(paths: Sequence[str], logs: Sequence[Any]) -> None:
+    """Raise an ArgumentError where names of two files differ, and look alike."""
+    for label in ("state", "action"):
+        owner: dict[Any, int] = {}
+        for k, log in enumerate(logs):
+            for name in getattr(log, f"{label}_names", None) or ():
+                owner.setdefault(name, k)
+        if owner:
+            place_of = partial(_place_of_name, paths, logs, label, list(owner.items()))
+            check_names(list(owner), f"{label}s", len(owner), place_of)
+
+
+def _place_of_name(
+    paths: Sequence[str],
+    logs: Sequence[Any],
+    label: str,
+    owners: Sequence[tuple[Any, int]],
+    place: int,
+) -> str:
+    """Return the file and the row in which the name at a place stands first.
+
+    ``owners`` has the names, each with the number of its first log.
+    """
+    name, k = owners[place]
+    log = logs[k]
+    code = getattr(log, f"{label}_names").index(name)
+    is_there = getattr(log, label) == code
+    if label == "state":
+        is_there = is_there | (log.next_state == code)
+    row = int(np.flatnonzero(is_there)[0])
+    return f"{paths[k]!r}: {Source(paths[k], len(log)).place(row)}"
 
 
 def _require_one_kind(paths: Sequence[str], logs: Sequence[Any]) -> None:
@@ -386,9 +450,8 @@ def _move_first(columns: Mapping[str, Column], shift: int) -> Column:
     return np.asarray(columns["timestep"] + shift * _is_first_run(columns))
 
 
-def _join(cls: Any, logs: Sequence[Any], is_one: Sequence[bool]) -> Any:
-    """Join logs as ``concatenate`` does, and the episodes that go on in the next."""
-    whole = cls.concatenate(logs)
+def _join(cls: Any, whole: Any, logs: Sequence[Any], is_one: Sequence[bool]) -> Any:
+    """Join the episodes that go on in the next log, of which ``whole`` has all rows."""
     if whole.episode is None:  # as another file has none
         return whole
     columns = whole.columns()

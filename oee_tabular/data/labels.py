@@ -22,6 +22,7 @@ from oee_tabular.data.aliases import (
     OTHER_WORDS,
     Doubt,
     find_field,
+    find_near_label,
     plain,
     stem,
 )
@@ -389,9 +390,12 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
         absent = [field for field in COLUMNS if field not in known]
         near = difflib.get_close_matches(text[:80], absent, n=1, cutoff=0.8)
         near += [field for field in absent if sorted(field) == sorted(text)]
-        if not near:
+        if near:
+            doubt = Doubt((near[0],), f"resembles {near[0]}", (frozenset(near[:1]),))
+        else:
+            doubt = _doubt_of_misspelt(text)
+        if doubt is None:
             return
-        doubt = Doubt((near[0],), f"resembles {near[0]}", (frozenset(near[:1]),))
     if any(fields <= known for fields in doubt.settled_by):
         return
     meaning = doubt.meaning
@@ -413,6 +417,19 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
     )
 
 
+def _doubt_of_misspelt(text: str) -> Doubt | None:
+    """Return the doubt about a label that misspells another project's, or None."""
+    meant = find_near_label(text[:80])
+    if meant is None:
+        return None
+    doubt = DOUBTS.get(meant)
+    if doubt is not None:
+        return doubt._replace(meaning=f"resembles {meant}, which {doubt.meaning}")
+    field = stem(FIELDS[meant])
+    meaning = f"resembles {meant}, a label of {field}"
+    return Doubt((field,), meaning, (frozenset({field}),))
+
+
 def show_way(field: str, label: Any) -> str:
     """Return how to name a column of a log in Python and in the command."""
     shown = _checks.show(label)
@@ -429,8 +446,13 @@ def show_labels(labels: Sequence[Any]) -> str:
 
 
 def _text_of(label: Any) -> str:
-    """Return a label as text, whose own texts may raise anything."""
-    return label if isinstance(label, str) else _checks.show(label)
+    """Return a label as text, whose own texts may raise anything.
+
+    The index that pandas writes to a file has an empty label, which no reader sees.
+    """
+    if isinstance(label, str):
+        return label if label.strip() else "a column without a name"
+    return _checks.show(label)
 
 
 def suggest_label(label: Any, labels: Sequence[Any]) -> str:
@@ -526,7 +548,7 @@ def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
     if not left_out:
         return
     named = [
-        _checks.escape_controls(str(label)[:80]) or "'' (without a name)"
+        _checks.escape_controls(_text_of(label)[:80])
         for label in left_out[:MAX_SHOWN_COLUMNS]
     ]
     if len(left_out) > MAX_SHOWN_COLUMNS:

@@ -9,22 +9,25 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from oee_tabular import _checks, _parallel
 from oee_tabular._progress import progress_bar
-from oee_tabular.data.copies import Namesakes, Overlaps, refuse_same_bytes
+from oee_tabular.data.copies import Namesakes, Overlaps, Reordered, refuse_same_bytes
 from oee_tabular.data.counting import (
     COUNTED,
     LARGEST,
+    NUMBERS_PER_ENTRY,
     WAY,
     FileCounts,
     Limits,
     Run,
     Sample,
     count_file,
+    name_missing_memory,
 )
 from oee_tabular.data.counts import (
     N_REASONS,
@@ -125,6 +128,9 @@ def open_log(
         error names the file, the row or the column, the rule and the value.
     OSError
         If a file is not there, or there is no scheduler at the address.
+    MemoryError
+        If the different transitions are more than memory holds; the error says how
+        many they are, and what helps.
 
     Notes
     -----
@@ -195,6 +201,7 @@ def _add_files(
     folders = Folders()
     namesakes = Namesakes(files)
     overlaps = Overlaps()
+    reordered = Reordered()
     dropped: Counter[tuple[int, int]] = Counter()
     n_ended = 0
     empty: list[str] = []
@@ -212,7 +219,11 @@ def _add_files(
             empty.append(file.path)
         if counts.sums is not None:
             namesakes.add_sums(file.path, counts.sums)
-            add_sums(sums, counts.sums)
+            reordered.add_sums(file.path, counts.sums)
+            n_entries = sum(len(part["count"]) for part in (*sums, counts.sums))
+            with name_missing_memory(file.path, partial(int, n_entries)):
+                _checks.require_memory(NUMBERS_PER_ENTRY * n_entries, file.path)
+                add_sums(sums, counts.sums)
         dropped.update(counts.dropped)
         n_ended += counts.n_ended
         recording = recording.join(episodes.add(counts))
@@ -225,11 +236,14 @@ def _add_files(
         )
     warn_of(episodes.notes)
     overlaps.warn()
+    reordered.warn(overlaps.found)
     warn_of_empty_files(empty, len(files))
     recording = episodes.correct(recording)
     if n_ended:
         _warn_of_ends(n_ended, limits)
-    whole = join_sums(sums)
+    n_entries = sum(len(part["count"]) for part in sums)
+    with name_missing_memory(files[-1].path, partial(int, n_entries)):
+        whole = join_sums(sums)
     _require_finite_sums(whole)
     return _to_counts(whole, recording, episodes.sample, dropped)
 

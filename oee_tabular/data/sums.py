@@ -25,6 +25,7 @@ from oee_tabular import _checks
 from oee_tabular._sparse import canonical
 from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.exceptions import ArgumentError
+from oee_tabular.mdp import source_of_row
 from oee_tabular.typing import Array, Column, Csr, IntArray
 
 COUNTED = ("count", "reward_sum", "reward_min", "reward_max", "reward_count")
@@ -153,7 +154,7 @@ def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> Csr:
         bad = np.flatnonzero(column >= limit)
         if bad.size:
             raise ArgumentError(
-                f"log.{name}[{bad[0]}]",
+                f"log.{name}[{bad[0]}]{source_of_row(log, int(bad[0]))}",
                 f"must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such"
                 f" rows in all; {given} is {limit})",
             )

@@ -650,6 +650,9 @@ def _csv_errors(path: str) -> Iterator[None]:
         OverflowError,
         Warning,
     ) as error:
+        # pandas has no class of its own for what its parser cannot allocate
+        if str(error).endswith("out of memory"):
+            raise MemoryError(f"{path!r} has more rows than memory holds") from None
         raise ArgumentError(
             f"{path!r}", f"must be a CSV table with a header; {error}"
         ) from None
@@ -940,6 +943,11 @@ def _find_line(path: str, row: int) -> Line:
     """Return the line of a row."""
     lines = _csv_lines(path, _csv_header(path)[2])
     return next(itertools.islice(lines, row + 1, None), Line(0, []))
+
+
+def describe_row(path: str, row: int) -> str:
+    """Return the place of a row of a CSV file in words, ``row 3 (line 5)``."""
+    return f"row {row} (line {_find_line(_files.local(path), row).number})"
 
 
 def csv_frame(path: str, *, has_flags: bool = True) -> Any:

@@ -405,9 +405,16 @@ class Transitions(LogColumns):
                 names = simulator.action_names
                 size = simulator.n_actions
             columns[column] = renumber(
-                columns[column], own, names, size, f"{name}.{column}"
+                columns[column],
+                own,
+                names,
+                size,
+                f"{name}.{column}",
+                self._describe_source,
             )
-        return type(self)(**columns)
+        log = type(self)(**columns)
+        object.__setattr__(log, "_sources", self._sources)
+        return log
 
     def __repr__(self) -> str:
         return f"Transitions({self.describe()})"

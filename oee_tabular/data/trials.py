@@ -13,11 +13,12 @@ nothing else (``success_simulator`` makes it of any simulator).
 
 from __future__ import annotations
 
+import difflib
 import json
 import operator
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
@@ -26,6 +27,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._keywords import suggest_keywords
+from oee_tabular.data.labels import suggest_label
 from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import FiniteMDP, Name, check_policy, number_of, total_discount
@@ -664,6 +666,25 @@ def _check_weight(weight: Any, number: int) -> Array | None:
     return _checks.freeze(values)
 
 
+def _refuse_misspelt(unread: Sequence[str], known: Container[str], name: str) -> None:
+    """Raise an ArgumentError for a column that may be a policy's or a weight's.
+
+    Without it the trials of all policies would be those of one, each with weight 1.
+    """
+    written = {label.strip().lower()[:80]: label for label in unread[:1000]}
+    for field in ("policy", "weight"):
+        near = difflib.get_close_matches(field, list(written), n=1, cutoff=0.8)
+        near += [each for each in written if sorted(each) == sorted(field)]
+        if near and field not in known:
+            shown = _checks.show(written[near[0]])
+            raise ArgumentError(
+                f"{name!r}",
+                f"must have columns whose meaning is clear; {shown}"
+                f" resembles {field} (call it {field} to have it read, or leave it out"
+                " of the file)",
+            )
+
+
 def _read_table(name: str, measure: str | None) -> dict[str, Any]:
     """Read the columns of a CSV table of trials."""
     frame = csv_frame(name, has_flags=False)
@@ -674,13 +695,17 @@ def _read_table(name: str, measure: str | None) -> dict[str, Any]:
     if not outcomes:
         wanted = "success or return" if measure is None else measure
         shown = _checks.show(", ".join(map(str, frame.columns)))
+        known = COLUMNS[1:3] if measure is None else [measure]
+        hints = [suggest_label(each, list(frame.columns)) for each in known]
+        hint = max(hints, key=len)
         raise ArgumentError(
-            f"{name!r}", f"must have the column {wanted}; it has {shown}"
+            f"{name!r}", f"must have the column {wanted}; it has {shown}{hint}"
         )
     outcome = outcomes[0]
     if not len(frame):
         raise ArgumentError(f"{name!r}", "must have at least one trial; it has no rows")
     unread = [str(labels[label]) for label in labels if label not in COLUMNS]
+    _refuse_misspelt(unread, labels, name)
     if unread:
         _checks.warn(
             f"{name!r}: columns that trials do not have are not read:"

@@ -63,11 +63,13 @@ from oee_tabular.mdp.horizons import limit_horizon as limit_horizon
 from oee_tabular.mdp.horizons import optional_horizon_length as optional_horizon_length
 from oee_tabular.mdp.horizons import possible_sums as possible_sums
 from oee_tabular.mdp.horizons import total_discount as total_discount
+from oee_tabular.mdp.logs import source_of_row as source_of_row
 from oee_tabular.mdp.naming import NAMELESS as NAMELESS
 from oee_tabular.mdp.naming import Name as Name
 from oee_tabular.mdp.naming import Names as Names
 from oee_tabular.mdp.naming import NamesLike as NamesLike
 from oee_tabular.mdp.naming import check_names as check_names
+from oee_tabular.mdp.naming import find_misspelt_ends as find_misspelt_ends
 from oee_tabular.mdp.naming import from_text as from_text
 from oee_tabular.mdp.naming import is_name as is_name
 from oee_tabular.mdp.naming import is_number_text as is_number_text

@@ -5,6 +5,8 @@ The samples of an environment are drawn by ``tasks.exploring``, which steps it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +23,12 @@ from oee_tabular._sparse import (
 from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
 from oee_tabular.mdp.arrays import check_available, check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
-from oee_tabular.mdp.logs import LogLike, require_log
+from oee_tabular.mdp.logs import LogLike, require_log, source_of_row
 from oee_tabular.mdp.naming import (
     Name,
     Names,
     check_names,
+    find_misspelt_ends,
     initial_distribution,
     renumber,
 )
@@ -101,6 +104,8 @@ def log_arguments(
     n_actions, actions, (action,) = _resolve(
         log, "action", ("action",), sizes[1], names[1]
     )
+    if names[0] is None and states is not None:
+        _warn_of_misspelt(log, states, state, following)
     given = ("n_actions", n_actions) if n_actions > n_states else ("n_states", n_states)
     _checks.require_memory(NUMBERS_PER_PAIR * n_states * n_actions, *given)
     reward = _log_rewards(log, rewards)
@@ -127,19 +132,57 @@ def log_arguments(
     called = Names(states, actions)
     can = None
     if available is not None:
-        can = _check_available(available, called, (n_states, n_actions), state, action)
+        shape = (n_states, n_actions)
+        source_of = partial(source_of_row, log)
+        can = _check_available(available, called, shape, (state, action), source_of)
     samples = Samples(outcomes, starts, called, (n_states, n_actions), can)
     return frequency_arguments(samples, initial=law, rewards=rewards, layout=layout)
+
+
+def _warn_of_misspelt(
+    log: LogLike, names: tuple[Name, ...], state: IntArray, following: IntArray
+) -> None:
+    """Warn of states that no row leaves whose names may be misspellings of others'.
+
+    A state that rows enter by termination alone is one in which the task ends.
+    """
+    is_end = np.ones(len(names), dtype=np.bool_)
+    is_end[state] = False
+    is_entered = np.zeros(len(names), dtype=np.bool_)
+    is_entered[following[~log.terminated]] = True
+    n_rows = np.bincount(np.concatenate([state, following]), minlength=len(names))
+    pairs = [
+        (name, other)
+        for name, other in find_misspelt_ends(names, is_end, n_rows)
+        if is_entered[names.index(name)]
+    ]
+    if not pairs:
+        return
+    name, other = pairs[0]
+    row = int(np.flatnonzero(following == names.index(name))[0])
+    more = f" ({len(pairs)} such states in all)" if len(pairs) > 1 else ""
+    _checks.warn(
+        f"log.next_state[{row}]{source_of_row(log, row)} {_checks.show(name)} resembles the state"
+        f" {_checks.show(other)}, and no row begins in it: it is read as another state,"
+        f" in which episodes stay{more}. If it is misspelt, write {_checks.show(other)};"
+        " if it is meant, write terminated in the rows that lead to it, or give it a"
+        " row of its own",
+        DataWarning,
+    )
 
 
 def _check_available(
     value: object,
     names: Names,
     shape: tuple[int, int],
-    state: IntArray,
-    action: IntArray,
+    pairs: tuple[IntArray, IntArray],
+    source_of: Callable[[int], str],
 ) -> BoolArray:
-    """Check which actions can be taken, and that a log's transitions are of these."""
+    """Check which actions can be taken, and that a log's transitions are of these.
+
+    ``source_of`` returns the file that a row is of, in words.
+    """
+    state, action = pairs
     checked = check_available(value, names.states, names.actions)
     if checked.mask.shape != shape:
         raise ArgumentError(
@@ -152,7 +195,7 @@ def _check_available(
         pair = state[bad[0]], action[bad[0]]
         more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
         raise ArgumentError(
-            f"log[{bad[0]}]",
+            f"log[{bad[0]}]{source_of(int(bad[0]))}",
             "must have an action that can be taken in its state; in state"
             f" {names.state(pair[0])} action {names.action(pair[1])} cannot be taken,"
             f" and is{more}: {_checks.place('available', pair)} is False",
@@ -199,8 +242,9 @@ def _resolve(
     if called is not None:
         called = check_names(called, f"{label}_names", number)
     if own is not None:
+        source_of = partial(source_of_row, log)
         codes = [
-            renumber(each, own, called, number, f"log.{name}")
+            renumber(each, own, called, number, f"log.{name}", source_of)
             for each, name in zip(codes, columns, strict=True)
         ]
     return number, called, codes

@@ -48,6 +48,15 @@ class LogLike(Protocol):
         """Return the log in the numbers of a simulator's states and actions."""
 
 
+def source_of_row(log: object, row: int) -> str:
+    """Return the file of a row of a log of several files, and its place there.
+
+    It is in parentheses, after a blank; empty where a log has one source.
+    """
+    describe = getattr(log, "_describe_source", None)
+    return "" if describe is None else str(describe(row))
+
+
 def require_log(log: object) -> None:
     """Raise an ArgumentError for what is no log."""
     is_class = isinstance(log, type)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 import unicodedata
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 from oee_tabular._containers import is_labelled_series
 from oee_tabular.exceptions import ArgumentError
-from oee_tabular.typing import Array, IntArray, SupportsArray
+from oee_tabular.typing import Array, BoolArray, IntArray, SupportsArray
 
 Name: TypeAlias = str | tuple[Any, ...]
 
@@ -374,22 +375,136 @@ def suggest_name(item: Name, names: tuple[Name, ...]) -> str:
     return f" (they are {shown})"
 
 
+# letters of a name of which one may be wrong; among shorter names many are near
+MIN_LETTERS_OF_MISSPELT = 4
+MAX_LETTERS_OF_MISSPELT = 80
+
+
+def find_misspelt(
+    candidates: Iterable[Name], names: Iterable[Name]
+) -> dict[Name, list[Name]]:
+    """Return, by a candidate, the other names of which it may be a misspelling.
+
+    They differ by capitals, blanks and forms of letters alone, or by one letter that is
+    wrong, missing, added or in the other order. Names that differ in a number, or in a
+    letter or a roman numeral that stands for one, are those of a series.
+
+    Notes
+    -----
+    Two texts are one letter apart only where they are the same with at most one letter
+    of each left out [1]. The cost is that of all names' letters.
+
+    [1] W. Garbe, SymSpell.
+
+    Examples
+    --------
+    >>> find_misspelt(["depto", "room_b", "end"], ["depot", "room_a", "hall"])
+    {'depto': ['depot']}
+    """
+    given = list(dict.fromkeys(name for name in candidates if isinstance(name, str)))
+    places: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for name in given:
+        letters, series = _spelling(name)
+        for part in _leave_letter_out(letters):
+            places.setdefault((part, series), []).append(name)
+    found: dict[Name, list[Name]] = {}
+    texts = [name for name in names if isinstance(name, str)]
+    for name in texts if places else ():
+        letters, series = _spelling(name)
+        near: dict[str, None] = {}
+        for part in _leave_letter_out(letters):
+            near.update(dict.fromkeys(places.get((part, series), ())))
+        for candidate in near:
+            if candidate != name and _is_one_letter_apart(
+                _spelling(candidate)[0], letters
+            ):
+                found.setdefault(candidate, []).append(name)
+    return {name: found[name] for name in given if name in found}
+
+
+def find_misspelt_ends(
+    names: Sequence[Name], is_end: BoolArray, n_rows: IntArray
+) -> list[tuple[Name, Name]]:
+    """Return states that no row leaves and that may be misspelt, with what was meant.
+
+    Of two such states, the one of fewer rows may be the misspelling.
+
+    Parameters
+    ----------
+    names : sequence
+        The names of the states.
+    is_end : ndarray of bool of shape (S,)
+        Which of them no row leaves.
+    n_rows : ndarray of int of shape (S,)
+        The number of rows in which each stands.
+    """
+    place = {name: k for k, name in enumerate(names)}
+    weight = [(n, -k) for k, n in enumerate(n_rows.tolist())]
+    ends = [names[k] for k in np.flatnonzero(is_end).tolist()]
+    pairs = []
+    for name, others in find_misspelt(ends, names).items():
+        for other in others:
+            k = place[other]
+            if not is_end[k] or weight[place[name]] < weight[k]:
+                pairs.append((name, other))
+                break
+    return pairs
+
+
+def _spelling(name: str) -> tuple[str, tuple[str, ...]]:
+    """Return a name's letters without capitals, and what tells it within a series."""
+    text = unicodedata.normalize("NFKC", name[:MAX_LETTERS_OF_MISSPELT])
+    text = re.sub(r"(?<=[a-z])(?=[A-Z]\b)", " ", text)  # roomA
+    parts = re.findall(r"\d+|[^\W\d_]+", _appearance(text).casefold())
+    is_series = [
+        len(parts) > 1
+        and (part.isdecimal() or len(part) == 1 or set(part) <= set("ivx"))
+        for part in parts
+    ]
+    pairs = list(zip(parts, is_series, strict=True))
+    letters = "".join(part for part, is_number in pairs if not is_number)
+    return letters, tuple(part for part, is_number in pairs if is_number)
+
+
+def _leave_letter_out(text: str) -> set[str]:
+    """Return a text, and the texts that it is with one letter left out."""
+    texts = {text}
+    if len(text) >= MIN_LETTERS_OF_MISSPELT:
+        texts.update(text[:k] + text[k + 1 :] for k in range(len(text)))
+    return texts
+
+
+def _is_one_letter_apart(one: str, other: str) -> bool:
+    """Return whether one edit makes a text of another that shares a shortening."""
+    if one == other:
+        return True
+    if min(len(one), len(other)) < MIN_LETTERS_OF_MISSPELT:
+        return False
+    if len(one) != len(other):
+        return True
+    n_other = sum(a != b for a, b in zip(one, other, strict=True))
+    return n_other == 1 or (n_other == 2 and sorted(one) == sorted(other))
+
+
 def renumber(
     codes: IntArray,
     own: tuple[Name, ...],
     names: tuple[Name, ...] | None,
     size: int,
     name: str,
+    source_of: Callable[[int], str] | None = None,
 ) -> IntArray:
     """Return numbers by a log's own names as numbers by an MDP's names.
 
     Raises a ValueError with the first row whose name the MDP does not have.
+    ``source_of`` returns the file that a row is of, in words.
     """
     known = {} if names is None else numbers_of(names)
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
     bad = np.flatnonzero(numbers < 0)
     if bad.size:
-        place = f"{name}[{bad[0]}]"
+        source = "" if source_of is None else source_of(int(bad[0]))
+        place = f"{name}[{bad[0]}]{source}"
         try:
             number_of(own[int(codes[bad[0]])], names, size, place, "the simulator's")
         except ArgumentError as error:

@@ -1,6 +1,7 @@
 """Simulators from tables, and what a log's messages propose."""
 
 import json
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular.cli.simulators import read_simulator
 
 
 def table_of(mdp, *, has_names=True):
@@ -232,3 +234,92 @@ def test_info_says_which_files_have_no_columns_of_a_log(folder, run, file, is_wh
         oee.FiniteMDP.load("sim.npz").save(file)
     told = run(f"info {file} --column state=where", code=2)
     assert f"--column must be left out for {file!r}, which {is_what};" in told
+
+
+@pytest.mark.parametrize(
+    "label",
+    ["probabilty", "Porbability", "propability", "transition_prob", "proba", "P next"],
+)
+def test_a_column_that_may_be_the_probability_is_asked_after(run, folder, label):
+    grid = oee.FiniteMDP.load("sim.npz")
+    table = table_of(grid).rename(columns={"probability": label})
+    table.to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert f"'{label}' resembles probability (to read it: --column " in told
+    assert not (folder / "made.npz").exists()
+    run(f"export t.csv --initial r0c0 --column 'probability={label}' --output made.npz")
+    made = oee.FiniteMDP.load("made.npz")
+    assert_allclose(
+        oee.policy_value(made, oee.uniform_policy(made)),
+        oee.policy_value(grid.with_discount(0.99), oee.uniform_policy(grid)),
+    )
+    run("export t.csv --initial r0c0 --column probability= --output of_samples.npz")
+    assert oee.FiniteMDP.load("of_samples.npz").sampling is not None
+
+
+def test_a_misspelt_column_of_a_table_of_probabilities_is_named(run, folder):
+    table = table_of(oee.FiniteMDP.load("sim.npz"))
+    table.rename(columns={"reward": "rewrad"}).to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert "none is reward (--column reward=LABEL) (did you mean 'rewrad'?)" in told
+    table.to_csv("t.csv", index=False)
+    words = "--column probability=weight"
+    told = run(f"export t.csv {words} --initial r0c0 --output made.npz", code=2)
+    assert "none is weight (--column probability=LABEL)" in told
+
+
+@pytest.mark.parametrize(
+    ("label", "meant"),
+    [
+        ("probabilty", "behavior_probability"),
+        ("action_probabilty", "behavior_probability"),
+        ("propensty_score", "behavior_probability"),
+        ("is_terminl", "terminated"),
+        ("episode_indx", "episode"),
+        ("epsiode_index", "episode"),
+    ],
+)
+def test_misspelt_labels_of_other_projects_are_asked_after(tmp_path, label, meant):
+    frame = pd.DataFrame({"state": [0, 0], "action": 0, "next_state": 0, label: 1})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(ValueError, match=f"{label}' resembles .*{meant}"):
+            read(tmp_path / "log.csv")
+        with pytest.warns(oee.exceptions.DataWarning, match=f"left out: {label}"):
+            read(tmp_path / "log.csv", columns={meant: None})
+    for other in ("action_prob_2", "episode_reward", "step_cost", "probe", "stability"):
+        with pytest.warns(oee.exceptions.DataWarning, match=other):
+            oee.Transitions.from_frame(frame[frame.columns[:3]].assign(**{other: 1}))
+
+
+ROUTES = [("hall", "go", "door"), ("door", "go", "yard"), ("yard", "go", "hall")]
+
+
+@pytest.mark.parametrize(
+    ("row", "name", "other"),
+    [(0, "dorr", "door"), (1, "Yard", "yard"), (2, "halll", "hall"), (0, "doo", "")],
+)
+def test_a_misspelt_next_state_is_named_with_its_line(folder, row, name, other):
+    rows = [[*each, 0.5, 1.0] for each in ROUTES]
+    rows += [[*each[:2], "the end", 0.5, 0.0] for each in ROUTES]
+    rows.append(["yard", "go", name, 0.25, 0.0])
+    rows[2][3] = 0.25
+    rows.insert(row, rows.pop())
+    text = "state,action,next_state,probability,reward\n\n"
+    text += "\n".join(",".join(map(str, each)) for each in rows)
+    (folder / "t.csv").write_text(text)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = read_simulator("t.csv", {}, "hall", 0.9)
+    found = [str(each.message) for each in told]
+    assert len(found) == bool(other)
+    if other:
+        place = f"'t.csv': row {row} (line {row + 3}): next_state"
+        assert found[0].startswith(
+            f"{place} '{name}' resembles the state '{other}', and"
+        )
+    assert made.absorbing()[made.state_names.index(name)]
+    # a row of its own says that it is meant
+    (folder / "t.csv").write_text(f"{text}\n{name},go,{name},1,0")
+    made = read_simulator("t.csv", {}, "hall", 0.9)
+    assert made.absorbing()[made.state_names.index(name)]

@@ -473,3 +473,54 @@ def test_a_part_that_is_empty(tmp_path, read, name, data):
     words = r"must have a header; the file is empty .* may be left out"
     with pytest.raises(ValueError, match=rf"{name}' {words}"):
         read(tmp_path)
+
+
+ORDERS = {
+    "reversed": lambda frame: frame[::-1],
+    "by state": lambda frame: frame.sort_values(["state", "reward"]),
+    "shuffled": lambda frame: frame.sample(frac=1.0, random_state=3),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
+@pytest.mark.parametrize("has_names", [False, True])
+@pytest.mark.parametrize("read", [Transitions.load, Transitions.open])
+def test_copies_in_another_order_are_told(tmp_path, order, ending, has_names, read):
+    random = np.random.default_rng(0)
+
+    def draw():
+        frame = pd.DataFrame(random.integers(0, 9, (900, 3)))
+        frame.columns = ["state", "action", "next_state"]
+        return frame.assign(reward=random.normal(size=900))
+
+    def write(frame, name):
+        path = tmp_path / name
+        Transitions.from_frame(frame).save(path)
+        return path
+
+    frame = draw()
+    names = "abcdefghi"
+    if has_names and read == Transitions.load:
+        for label in ("state", "next_state"):
+            frame[label] = [f"s{names[k]}" for k in frame[label]]
+    others = draw()
+    if has_names and read == Transitions.load:
+        others = frame.assign(next_state=frame.next_state[::-1].to_numpy())
+    paths = [write(frame, "a.csv"), write(others, "b.csv")]
+    read(paths)  # other rows of the same number
+    paths.append(write(ORDERS[order](frame), f"c{ending}"))
+    words = r"a.csv' and '.*c\..*' hold the same 900 rows, in another order, and count"
+    with pytest.warns(DataWarning, match=words):
+        read(paths)
+
+
+def test_files_with_little_chance_are_no_copies(tmp_path):
+    """Each way through a corridor has the same transitions."""
+    for k in range(3):
+        rows = np.roll(np.tile(np.arange(5), 40), k)
+        Transitions(rows, 0 * rows, (rows + 1) % 5).save(tmp_path / f"{k}.csv")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "in .*the same order")
+        Transitions.load(tmp_path)
+        Transitions.open(tmp_path)

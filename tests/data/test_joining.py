@@ -2,6 +2,8 @@
 columns.
 """
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +13,8 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
+from oee_tabular.data import read_log
+from oee_tabular.exceptions import ArgumentError, DataWarning, SimulatorWarning
 
 GRID = oee.tasks.gridworld(3, slip=0.3)
 LOG = oee.sample_episodes(GRID, oee.uniform_policy(GRID), 6, 9, seed=4)
@@ -286,3 +290,74 @@ def test_folders_that_part_the_rows_of_an_episode(tmp_path, read):
         tmp_path / "c", {"episode=05/x.csv": "1,0,2", "episode=5/x.csv": "2,0,3"}, head
     )
     assert read(tmp_path / "c").summary()["episodes"] == 2
+
+
+def write_parts(folder, texts):
+    """Write the rows of some files, one of which has a blank line, and return paths."""
+    paths = []
+    for k, text in enumerate(texts):
+        paths.append(folder / f"part-{k}.csv")
+        paths[k].write_text("state,action,next_state\n\n" + text)
+    return paths
+
+
+@pytest.mark.parametrize("form", ["folder", "paths", "pattern"])
+@pytest.mark.parametrize(
+    ("row", "column"), [("halll,go,door", "state"), ("hall,g,door", "action")]
+)
+def test_an_unknown_name_is_placed_in_its_own_file(tmp_path, form, row, column):
+    good = "hall,go,door\ndoor,stay,door\n"
+    paths = write_parts(tmp_path, [good, good * 2, good + row, good])
+    given = {"folder": tmp_path, "paths": paths, "pattern": str(tmp_path / "*.csv")}
+    simulator = oee.FiniteMDP(
+        [[[0.5, 0.5]] * 2] * 2,
+        [0, 0],
+        [1, 0],
+        0.9,
+        state_names=["hall", "door"],
+        action_names=["go", "stay"],
+    )
+    log = Transitions.load(given[form])
+    place = f"log.{column}[8] (row 2 (line 5) of {str(paths[2])!r})"
+    with pytest.raises(ArgumentError, match=f"^{re.escape(place)} must be one of"):
+        log.numbered(simulator)
+    with pytest.raises(ArgumentError, match=re.escape(place)):
+        read_log(given[form], simulator)
+    paths[2].unlink()
+    with pytest.raises(ArgumentError, match=r"\[8\] \(row 2 of '.*part-2.csv'\) must"):
+        log.numbered(simulator)
+
+
+def test_numbers_outside_a_simulator_are_placed_in_their_own_file(tmp_path):
+    paths = write_parts(tmp_path, ["0,0,1\n1,0,0\n", "0,0,1\n1,0,7\n"])
+    log = Transitions.load(paths)
+    place = f"log.next_state[3] (row 1 (line 4) of {str(paths[1])!r})"
+    with pytest.raises(ArgumentError, match=re.escape(place)):
+        log.counts(2, 1)
+    first = Transitions.load(paths[1])
+    with pytest.raises(ArgumentError, match=r"^log.next_state\[1\] must be in"):
+        first.counts(2, 1)
+
+
+def test_names_of_two_files_that_look_alike_are_placed(tmp_path):
+    paths = write_parts(
+        tmp_path, ["hall,go,door\n", "door,go,door\nh\u0430ll,go,door\n"]
+    )
+    with pytest.raises(ArgumentError, match="which looks as") as told:
+        Transitions.load(paths)
+    assert f"states must differ; {str(paths[1])!r}: row 1 (line 4) is" in str(
+        told.value
+    )
+    assert f"looks as {str(paths[0])!r}: row 0 (line 3) does" in str(told.value)
+
+
+def test_a_misspelt_next_state_of_several_files_is_placed(tmp_path):
+    text = "hall,go,depot\ndepot,go,hall\n"
+    paths = write_parts(tmp_path, [text * 2, text + "hall,go,depto\n"])
+    log = Transitions.load(paths)
+    place = re.escape(f"log.next_state[6] (row 2 (line 5) of {str(paths[1])!r})")
+    with (
+        pytest.warns(DataWarning, match=f"{place} 'depto' resembles"),
+        pytest.warns(SimulatorWarning),
+    ):
+        oee.FiniteMDP.from_log(log, rewards=[0, 0, 0], initial="hall", discount=0.9)

@@ -751,3 +751,20 @@ def test_a_log_is_read_without_pandas_frames(tmp_path):
 def test_decimals_are_numbers():
     table = OURS.assign(reward=[Decimal("0.5"), Decimal(1), Decimal("0.5"), Decimal(1)])
     assert_array_equal(Transitions.from_frame(table).reward, EXPECTED.reward)
+
+
+@pytest.mark.parametrize("blank", ["", " ", "\t"])
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("read", [oee.Transitions.load, oee.Transitions.open])
+def test_a_column_without_a_name_is_named_in_words(tmp_path, blank, place, read):
+    labels = ["trip", "leg"]
+    labels.insert(place, blank)
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(labels) + "\n0,1,2\n")
+    with pytest.raises(ValueError, match=r"it has .*a column without a name") as told:
+        read(path)
+    assert ", ," not in str(told.value)
+    assert "has ," not in str(told.value)
+    frame = pd.DataFrame([(0, 1, 2)], columns=labels)
+    with pytest.raises(ValueError, match="a column without a name"):
+        oee.Transitions.from_frame(frame)

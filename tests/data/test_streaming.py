@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import TransitionCounts, Transitions
+from oee_tabular.data import sums, tables
 
 GRID = oee.tasks.gridworld(3, slip=0.3)
 UNIFORM = oee.uniform_policy(GRID)
@@ -599,3 +600,45 @@ def test_a_count_that_is_killed_leaves_nothing_under_its_name(tmp_path):
         process.kill()
     assert not output.exists()
     same(Transitions.open(folder, output=output), TransitionCounts.load(output))
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "npz"])
+@pytest.mark.parametrize("n_joins", [0, 1])
+@pytest.mark.parametrize("words", [(), ("Unable to allocate 2 TiB",)])
+def test_missing_memory_has_words(tmp_path, monkeypatch, ending, n_joins, words):
+    """Memory that is over at the first piece, or where sums are joined."""
+    path = tmp_path / f"log.{ending}"
+    Transitions([0, 1, 2], [0, 0, 1], [1, 2, 0]).save(path)
+    calls = []
+
+    def sum_rows(columns):
+        calls.append(columns)
+        if len(calls) > n_joins:
+            raise MemoryError(*words)
+        return summed(columns)
+
+    summed = sums.sum_rows
+    monkeypatch.setattr(sums, "sum_rows", sum_rows)
+    with pytest.raises(MemoryError) as told:
+        Transitions.open(path)
+    text = str(told.value)
+    assert text.startswith(
+        f"{str(path)!r} needs more memory than there is: it was over"
+    )
+    assert f"after {3 * n_joins} different transitions, which take about " in text
+    assert "GiB are free (count in fewer processes" in text
+
+
+def test_what_pandas_cannot_allocate_is_no_fault_of_the_file(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    Transitions([0, 1, 2], [0, 0, 1], [1, 2, 0]).save(path)
+
+    def read_csv(*arguments, **options):
+        raise pd.errors.ParserError("Error tokenizing data. C error: out of memory")
+
+    monkeypatch.setattr(pd, "read_csv", read_csv)
+    monkeypatch.setattr(tables, "MAX_SMALL_BYTES", 1)
+    with pytest.raises(MemoryError, match="more rows than memory holds"):
+        Transitions.load(path)
+    with pytest.raises(MemoryError, match="GiB are free"):
+        Transitions.open(path)

@@ -176,6 +176,11 @@ def test_other_json_is_refused(tmp_path, content, says):
     ("text", "says"),
     [
         ("outcome\n1\n", "must have the column success or return; it has 'outcome'"),
+        ("sucess\n1\n", r"it has 'sucess' \(did you mean 'sucess'\?\)"),
+        ("retrun,policy\n1,a\n", r"did you mean 'retrun'\?"),
+        ("return,polcy\n1,a\n", "'polcy' resembles policy"),
+        ("success,Wieght\n1,2\n", "'Wieght' resembles weight"),
+        ("return,weights\n1,2\n", "'weights' resembles weight"),
         ("success\n", "at least one trial"),
         ("success\n1\n2\n", r"row 1 \(line 3\) must have 1 or 0"),
         ("success\n1\nmaybe\n", r"row 1 \(line 3\)"),
