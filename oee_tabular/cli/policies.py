@@ -12,7 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
+from oee_tabular.data.aliases import (
+    POLICY_PROBABILITY,
+    find_field,
+    plain,
+    resembles_probability,
+)
 from oee_tabular.data.labels import (
     show_labels,
     suggest_columns,
@@ -149,6 +154,15 @@ def _find_columns(frame: Any, mdp: FiniteMDP, name: str) -> Columns | None:
             " probability, and leave the other one out)",
         )
     left = [label for label in left if label != probability]
+    if probability is None:
+        for label in left:
+            if resembles_probability(label):
+                raise ArgumentError(
+                    name,
+                    "must have columns whose meaning is clear;"
+                    f" {_checks.show(label)} resembles probability (rename it so, or"
+                    " leave it out, where the policy always takes the actions)",
+                )
     renamed = [(state, "state"), (action, "action")]
     if probability is not None:
         renamed.append((probability, "probability"))

@@ -38,6 +38,7 @@ from oee_tabular.mdp import (
     check_policy,
     optional_horizon_length,
     require_available_rows,
+    source_of_row,
 )
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
@@ -478,7 +479,9 @@ def settle(log: LogT, simulator: FiniteMDP, name: str) -> LogT:
             )
             if values.max() == size and values.min() >= 1:
                 rule += "; are they numbered from 1? Then subtract 1"
-            raise ArgumentError(f"{name}.{column}[{bad[0]}]", rule)
+            row = int(bad[0])
+            place = f"{name}.{column}[{row}]{source_of_row(log, row)}"
+            raise ArgumentError(place, rule)
     if not simulator.has_all_actions:
         rows = log.state * simulator.n_actions + log.action
         require_available_rows(simulator, rows, name)
@@ -490,7 +493,7 @@ def settle(log: LogT, simulator: FiniteMDP, name: str) -> LogT:
         row = int(going_on[0])
         where = simulator.names.state(arrival[row])
         raise ArgumentError(
-            f"{name}.terminated[{row}]",
+            f"{name}.terminated[{row}]{source_of_row(log, row)}",
             f"must be False, or state {where} must be terminal in the simulator (every"
             f" action leads back to it with reward 0); it is not ({going_on.size} such"
             " transitions). If a time limit cut the log's episodes there, mark them"

@@ -156,3 +156,11 @@ def test_empty_states_and_actions_are_named_by_their_row(tmp_path, text, place):
     )
     with pytest.raises(ValueError, match=re.escape(f"{place} has none (1 such")):
         read_policy_table(str(tmp_path / "p.csv"), simulator)
+
+
+@pytest.mark.parametrize("label", ["probabilty", "action_probabilty", "Proba"])
+def test_a_column_that_may_be_the_probability_is_asked_after(tmp_path, label):
+    """Without it the one action that a state has would be taken always."""
+    frame = pd.DataFrame({"state": STATES, "action": "up", label: 0.5})
+    with pytest.raises(ValueError, match=f"'{label}' resembles probability"):
+        read(tmp_path, frame)

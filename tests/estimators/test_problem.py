@@ -391,3 +391,20 @@ def test_doubly_robust_and_marginalised_values_of_the_log_s_rewards():
         Marginalized(ratio=fit)(problem, policy).value, (share * pay).sum(), rtol=1e-7
     )
     assert here.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("head", "bad", "rule"),
+    [
+        ("state,action,next_state", "9,0,0", "must be in 0..2"),
+        ("state,action,next_state,terminated", "0,0,1,true", "must be False"),
+    ],
+)
+def test_a_fault_of_a_log_in_two_files_has_its_file_and_line(tmp_path, head, bad, rule):
+    good = "0,0,1" + ",false" * (head.count(",") - 2)
+    for k, last in enumerate([good, bad]):
+        (tmp_path / f"part-{k}.csv").write_text(f"{head}\n{good}\n{last}\n")
+    log = oee.Transitions.load(tmp_path)
+    simulator = oee.FiniteMDP(np.eye(3)[[[1], [0], [2]]], np.ones(3), 0, 0.9)
+    with pytest.raises(ValueError, match=r"\[3\] \(row 1 .*part-1.csv.*" + rule):
+        oee.Problem(simulator, log)
