@@ -480,7 +480,11 @@ def _are_paths(source: object) -> bool:
 def has_labels(source: object) -> bool:
     """Return whether a source of a log, a file or a frame, has labels of columns."""
     if isinstance(source, str | os.PathLike):
-        return not holds_counts(source)
+        try:
+            return not holds_counts(source)
+        except ArgumentError:
+            # its reader says what is wrong with a path, by the argument's own name
+            return True
     if _are_paths(source):
         return True
     return not isinstance(source, Transitions | TransitionCounts) and is_frame(source)

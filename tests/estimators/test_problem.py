@@ -408,3 +408,12 @@ def test_a_fault_of_a_log_in_two_files_has_its_file_and_line(tmp_path, head, bad
     simulator = oee.FiniteMDP(np.eye(3)[[[1], [0], [2]]], np.ones(3), 0, 0.9)
     with pytest.raises(ValueError, match=r"\[3\] \(row 1 .*part-1.csv.*" + rule):
         oee.Problem(simulator, log)
+
+
+@pytest.mark.parametrize("path", ["", "x" * 10**6, "a\0b", "-", "https://a/b.csv"])
+@pytest.mark.parametrize("name", ["log", "episodes"])
+def test_a_path_that_is_none_is_named_by_its_argument(path, name):
+    simulator = oee.FiniteMDP(np.eye(3)[[[1], [0], [2]]], np.ones(3), 0, 0.9)
+    given = {"log": Transitions([0], [0], [1]), name: path}
+    with pytest.raises(ValueError, match=rf"^{name}\b"):
+        Problem(simulator, **given)
