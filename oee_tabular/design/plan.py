@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -402,7 +403,12 @@ class Plan:
         ]
         lines += ["largest shares: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
-            following = ", ".join(describe(s, a) for s, a in self.next_pairs[1:])
+            # in the order in which each comes first
+            times = Counter(self.next_pairs[1:])
+            following = ", ".join(
+                describe(s, a) + (f" ({number} times)" if number > 1 else "")
+                for (s, a), number in times.items()
+            )
             lines.append(f"then one transition each: {following}")
         if self.unrecorded:
             lines.append(

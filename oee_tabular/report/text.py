@@ -423,7 +423,8 @@ def test_of_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} None of the {pairs} has enough transitions to show it by itself."
+            f"{whole} In none of the {pairs} is it certain by itself, by a bound that"
+            " holds for all of them at once."
         )
     if rejected == tested:
         return f"{whole} Each of the {pairs} differs surely by itself."

@@ -229,7 +229,7 @@ def test_guaranteed_intervals_and_normalised_values_are_named():
         "What a value is: 0.01 × the discounted sum of 10 rewards (discount 0.99)."
         in text
     )
-    assert "No difference in a single pair is significant (2 pairs" in text
+    assert "bound that holds for all 2 tested pairs at once" in text
 
 
 def test_many_policies_have_six_maps():

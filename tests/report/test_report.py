@@ -518,9 +518,9 @@ def test_what_a_policy_is_worth(changes, sentence):
             (
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are even more frequent in the target (z = 24.5 standard"
-                " deviations, over all recorded transitions together). None of the"
-                " 1,200 tested state-action pairs has enough transitions to show it by"
-                " itself."
+                " deviations, over all recorded transitions together). In none"
+                " of the 1,200 tested state-action pairs is it certain by itself, by a"
+                " bound that holds for all of them at once."
             ),
         ),
         (
