@@ -455,10 +455,13 @@ def _spelling(name: str) -> tuple[str, tuple[str, ...]]:
     """Return a name's letters without capitals, and what tells it within a series."""
     text = unicodedata.normalize("NFKC", name[:MAX_LETTERS_OF_MISSPELT])
     text = re.sub(r"(?<=[a-z])(?=[A-Z]\b)", " ", text)  # roomA
-    parts = re.findall(r"\d+|[^\W\d_]+", _appearance(text).casefold())
+    # a minus after a letter or a digit is a hyphen
+    pattern = r"(?<![^\W_])[-+\u2212]\d+|\d+|[^\W\d_]+"
+    parts = re.findall(pattern, _appearance(text).casefold())
     is_series = [
-        len(parts) > 1
-        and (part.isdecimal() or len(part) == 1 or set(part) <= set("ivx"))
+        part[-1].isdecimal()
+        or re.fullmatch("[ivx]+[a-d]?", part) is not None  # stage IIIb
+        or (len(parts) > 1 and len(part) == 1)
         for part in parts
     ]
     pairs = list(zip(parts, is_series, strict=True))
