@@ -301,6 +301,8 @@ def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
 
     if not path.lower().endswith((".csv", ".csv.gz")) or columns.keys() - set(FIELDS):
         return None
+    if columns.get(PROBABILITY, "") is None:  # left out, so that rows are samples
+        return None
     labels = read_labels(path)
     found = {field: _find_label(field, labels, columns) for field in FIELDS}
     own = [found[field] for field in FIELDS[:4]]
@@ -314,7 +316,11 @@ def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
         return None
     state, action, following, probability = own
     values = frame[probability]
-    if values.dtype.kind not in "iuf" or not len(frame):
+    if (
+        values.dtype.kind not in "iuf"
+        or not len(frame)
+        or frame[own].isna().to_numpy().any()
+    ):
         return None
     sums = frame.groupby([state, action])[probability].sum()
     is_repeated = frame.duplicated([state, action, following]).any()

@@ -294,6 +294,7 @@ OTHER_WORDS = {
 # A label with a letter wrong is found among labels of this many letters and more. Among
 # shorter ones, too many words are near.
 MIN_LETTERS_OF_MISSPELT = 8
+WORDS_AFTER_P = {"next", "state", "transition", "s"}
 WORDS_OF_PROBABILITY = {"prob", "probs", "proba", "probas", "p"}
 
 
@@ -320,10 +321,14 @@ def resembles_probability(label: Any) -> bool:
     >>> resembles_probability("probabilty"), resembles_probability("availability")
     (True, False)
     """
+    # p stands for it alone or before what it is of, not in p_id or p_value
+    words = plain(label)[:80].split("_")
+    if "p" in words[:-1] and words[-1] not in WORDS_AFTER_P:
+        words = [word for word in words if word != "p"]
     return any(
         word in WORDS_OF_PROBABILITY
         or difflib.get_close_matches(word, ["probability", "probabilities"], cutoff=0.8)
-        for word in plain(label)[:80].split("_")
+        for word in words
     )
 
 

@@ -13,7 +13,6 @@ nothing else (``success_simulator`` makes it of any simulator).
 
 from __future__ import annotations
 
-import difflib
 import json
 import operator
 import os
@@ -27,10 +26,16 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.data.labels import suggest_label
 from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError, DataWarning
-from oee_tabular.mdp import FiniteMDP, Name, check_policy, number_of, total_discount
+from oee_tabular.mdp import (
+    FiniteMDP,
+    Name,
+    check_policy,
+    find_misspelt,
+    number_of,
+    total_discount,
+)
 from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike, RealArrayLike
 
 # a name or a number of a state, or several
@@ -38,6 +43,8 @@ StatesLike: TypeAlias = Name | int | Sequence[Name | int] | IntArray
 # of the largest possible return: how far a return may be beyond it, by rounding
 RETURN_TOLERANCE = 1e-6
 COLUMNS = ("policy", "success", "return", "weight")
+# a letter away from policy and weight, and words of their own
+OTHER_WORDS = {"police", "height", "eight"}
 FLAGS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0, "1": 1.0, "0": 0.0}
 LARGEST = sys.float_info.max
 MAX_TRIALS = 10**8  # that counts of successes may stand for
@@ -673,10 +680,9 @@ def _refuse_misspelt(unread: Sequence[str], known: Container[str], name: str) ->
     """
     written = {label.strip().lower()[:80]: label for label in unread[:1000]}
     for field in ("policy", "weight"):
-        near = difflib.get_close_matches(field, list(written), n=1, cutoff=0.8)
-        near += [each for each in written if sorted(each) == sorted(field)]
+        near = list(find_misspelt(written.keys() - OTHER_WORDS, [field]))
         if near and field not in known:
-            shown = _checks.show(written[near[0]])
+            shown = _checks.show(written[str(near[0])])
             raise ArgumentError(
                 f"{name!r}",
                 f"must have columns whose meaning is clear; {shown}"
@@ -696,8 +702,10 @@ def _read_table(name: str, measure: str | None) -> dict[str, Any]:
         wanted = "success or return" if measure is None else measure
         shown = _checks.show(", ".join(map(str, frame.columns)))
         known = COLUMNS[1:3] if measure is None else [measure]
-        hints = [suggest_label(each, list(frame.columns)) for each in known]
-        hint = max(hints, key=len)
+        hint = ""
+        for each in known:
+            for near in find_misspelt(map(str, frame.columns), [each]):
+                hint = f" (is {_checks.show(near)} {each}? Then call it so)"
         raise ArgumentError(
             f"{name!r}", f"must have the column {wanted}; it has {shown}{hint}"
         )

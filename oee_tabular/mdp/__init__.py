@@ -69,6 +69,7 @@ from oee_tabular.mdp.naming import Name as Name
 from oee_tabular.mdp.naming import Names as Names
 from oee_tabular.mdp.naming import NamesLike as NamesLike
 from oee_tabular.mdp.naming import check_names as check_names
+from oee_tabular.mdp.naming import find_misspelt as find_misspelt
 from oee_tabular.mdp.naming import find_misspelt_ends as find_misspelt_ends
 from oee_tabular.mdp.naming import from_text as from_text
 from oee_tabular.mdp.naming import is_name as is_name

@@ -387,7 +387,9 @@ def find_misspelt(
 
     They differ by capitals, blanks and forms of letters alone, or by one letter that is
     wrong, missing, added or in the other order. Names that differ in a number, or in a
-    letter or a roman numeral that stands for one, are those of a series.
+    letter or a roman numeral that stands for one, are those of a series. Words that an
+    "a" in front negates (symptomatic, asymptomatic) are others, and so are those of a
+    script without capitals, where one character is a word.
 
     Notes
     -----
@@ -427,7 +429,8 @@ def find_misspelt_ends(
 ) -> list[tuple[Name, Name]]:
     """Return states that no row leaves and that may be misspelt, with what was meant.
 
-    Of two such states, the one of fewer rows may be the misspelling.
+    Of two such states, the one of fewer rows may be the misspelling. One that resembles
+    several states that rows leave is a code, and no misspelling.
 
     Parameters
     ----------
@@ -443,6 +446,8 @@ def find_misspelt_ends(
     ends = [names[k] for k in np.flatnonzero(is_end).tolist()]
     pairs = []
     for name, others in find_misspelt(ends, names).items():
+        if sum(not is_end[place[other]] for other in others) > 1:
+            continue
         for other in others:
             k = place[other]
             if not is_end[k] or weight[place[name]] < weight[k]:
@@ -456,10 +461,11 @@ def _spelling(name: str) -> tuple[str, tuple[str, ...]]:
     text = unicodedata.normalize("NFKC", name[:MAX_LETTERS_OF_MISSPELT])
     text = re.sub(r"(?<=[a-z])(?=[A-Z]\b)", " ", text)  # roomA
     # a minus after a letter or a digit is a hyphen
-    pattern = r"(?<![^\W_])[-+\u2212]\d+|\d+|[^\W\d_]+"
+    pattern = r"(?<![^\W_])[-+\u2212]\d+|\d+|[^\W\d_]+|[-+\u2212]+$"
     parts = re.findall(pattern, _appearance(text).casefold())
     is_series = [
         part[-1].isdecimal()
+        or not part.isalpha()  # grade A+
         or re.fullmatch("[ivx]+[a-d]?", part) is not None  # stage IIIb
         or (len(parts) > 1 and len(part) == 1)
         for part in parts
@@ -483,8 +489,11 @@ def _is_one_letter_apart(one: str, other: str) -> bool:
         return True
     if min(len(one), len(other)) < MIN_LETTERS_OF_MISSPELT:
         return False
+    if one.upper() == one.lower():
+        return False
     if len(one) != len(other):
-        return True
+        short, long = sorted((one, other), key=len)
+        return long != f"a{short}"
     n_other = sum(a != b for a, b in zip(one, other, strict=True))
     return n_other == 1 or (n_other == 2 and sorted(one) == sorted(other))
 

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.cli.simulators import read_simulator
+from oee_tabular.data.aliases import resembles_probability
 
 
 def table_of(mdp, *, has_names=True):
@@ -323,3 +324,28 @@ def test_a_misspelt_next_state_is_named_with_its_line(folder, row, name, other):
     (folder / "t.csv").write_text(f"{text}\n{name},go,{name},1,0")
     made = read_simulator("t.csv", {}, "hall", 0.9)
     assert made.absorbing()[made.state_names.index(name)]
+
+
+@pytest.mark.parametrize("label", ["p_id", "p_value", "p_terminal", "availability"])
+def test_columns_that_no_probability_is_are_left_out(label):
+    assert not resembles_probability(label)
+
+
+@pytest.mark.parametrize("label", ["p", "P next", "prob", "transition_prob", "proba"])
+def test_columns_that_may_be_the_probability(label):
+    assert resembles_probability(label)
+
+
+def test_info_takes_a_table_for_a_log_where_that_is_said(folder, run):
+    """And where values are missing, which no simulator's table has."""
+    (folder / "t.csv").write_text(
+        "state,action,next_state,probability,reward\n0,0,1,1,1\n1,0,0,1,1\n"
+    )
+    assert "table of a simulator" in run("info t.csv")
+    (folder / "miss.csv").write_text(
+        "state,action,next_state,probability,reward\n,0,1,1,1\n0,,1,1,1\n"
+    )
+    assert "table of a simulator" not in run("info miss.csv", code=2)
+    words = "info t.csv --column behavior_probability=probability"
+    assert run(words).startswith("Transitions(2 transitions")
+    assert "table of a simulator" not in run("info t.csv --column probability=", code=2)

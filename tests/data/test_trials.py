@@ -176,12 +176,13 @@ def test_other_json_is_refused(tmp_path, content, says):
     ("text", "says"),
     [
         ("outcome\n1\n", "must have the column success or return; it has 'outcome'"),
-        ("sucess\n1\n", r"it has 'sucess' \(did you mean 'sucess'\?\)"),
-        ("retrun,policy\n1,a\n", r"did you mean 'retrun'\?"),
+        ("sucess\n1\n", r"it has 'sucess' \(is 'sucess' success\?"),
+        ("retrun,policy\n1,a\n", r"is 'retrun' return\?"),
         ("return,polcy\n1,a\n", "'polcy' resembles policy"),
         ("success,Wieght\n1,2\n", "'Wieght' resembles weight"),
         ("return,weights\n1,2\n", "'weights' resembles weight"),
         ("success\n", "at least one trial"),
+        ("success,wieght,height\n1,2,3\n", "'wieght' resembles weight"),
         ("success\n1\n2\n", r"row 1 \(line 3\) must have 1 or 0"),
         ("success\n1\nmaybe\n", r"row 1 \(line 3\)"),
         ("return\n1\nx\n", r"row 1 \(line 3\) must have a finite number in return"),
@@ -275,3 +276,13 @@ def test_trials_of_another_quantity_are_refused():
         with pytest.raises(ArgumentError, match=says):
             call()
     assert problem(won, reach, log, horizon=9).trials is won
+
+
+@pytest.mark.parametrize(
+    "label", ["height", "eight", "police", "weighted", "policy_id"]
+)
+def test_words_near_a_column_s_label_are_columns_that_are_not_read(tmp_path, label):
+    path = tmp_path / "t.csv"
+    path.write_text(f"success,{label}\n1,2\n0,3\n", encoding="utf-8")
+    with pytest.warns(oee.exceptions.DataWarning, match=f"not read: .{label}"):
+        assert oee.Trials.load(path).number == 2

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import oee_tabular as oee
 from oee_tabular.exceptions import DataWarning
-from oee_tabular.mdp.naming import find_misspelt
+from oee_tabular.mdp.naming import find_misspelt, find_misspelt_ends
 
 WORDS = st.text("abcdefghklmnopqrstuwyz", min_size=5, max_size=9)
 
@@ -22,7 +22,9 @@ def test_one_edit_is_found(word, place, edit):
         "swap": word[:k] + word[k + 1] + word[k] + word[k + 2 :],
     }[edit]
     found = find_misspelt([made, "elsewhere"], [word, "another one"])
-    assert found == ({made: [word]} if made != word else {})
+    # an "a" in front may negate
+    is_other = made == word or word == f"a{made}"
+    assert found == ({} if is_other else {made: [word]})
 
 
 @pytest.mark.parametrize(
@@ -56,6 +58,10 @@ def test_other_forms_are_found(name, other):
         ("1001", "1002"),
         ("XVII", "XVIII"),
         ("healthy", "unhealthy"),
+        ("asymptomatic", "symptomatic"),
+        ("grade A+", "grade A-"),
+        ("credit+", "credit-"),
+        ("北京东站", "北京西站"),
         ("open", "opened"),
         ("end", "bed"),
         ("won", "now"),
@@ -98,3 +104,11 @@ def test_a_misspelt_next_state_of_samples_is_named():
 def test_a_state_that_ends_the_task_is_meant():
     terminated = np.array([True, False, False, False])
     oee.FiniteMDP.from_log(samples(terminated=terminated), initial="hall", discount=0.9)
+
+
+def test_a_code_that_resembles_several_states_is_none():
+    """Nine squares of a game: the end of it is one move from many boards."""
+    names = ["xoxoxxoox", "xoxoxxoxx", "xoxoxxooo", "bold", "gold", "sold"]
+    is_end = np.array([True, False, False, False, False, True])
+    assert find_misspelt_ends(names, is_end, np.ones(6, dtype=int)) == []
+    assert find_misspelt_ends(["depto", "depot"], is_end[:2], np.ones(2, dtype=int))
