@@ -252,7 +252,18 @@ OverwriteFolderOption = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace files that the command did not write, or that changed since.",
+        help="Replace also files of the folder that the command did not write, or that"
+        " changed since.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+OverwriteReportOption = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace an existing `--report`, and files of the `--output` folder that"
+        " changed or are not its own.",
         rich_help_panel=OUTPUT,
     ),
 ]
