@@ -38,6 +38,7 @@ from oee_tabular.cli.options import (
     OverwriteOption,
     SeedOption,
     SimulatorArgument,
+    TableColumnOption,
     print_result,
     remark,
 )
@@ -259,7 +260,7 @@ def policy(
 def export(
     *,
     simulator: SimulatorArgument,
-    column: ColumnOption = None,
+    column: TableColumnOption = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     samples_per_pair: Annotated[
@@ -288,8 +289,9 @@ def export(
     """Write a simulator to a file.
 
     A continuous task is written as its finite MDP, with the cells and what they were
-    made from. A table (.csv, .parquet) of samples is written by its frequencies, and
-    one with a column probability as it is.
+    made from. A table (.csv) with the columns state, action, next_state, probability
+    and reward is written as it is. One of samples (.csv, .parquet), without
+    probability, is written by its frequencies.
     """
     endings = oee.tasks.MDP_ENDINGS
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
@@ -423,7 +425,7 @@ def info(
             rich_help_panel=INPUT,
         ),
     ],
-    column: ColumnOption = None,
+    column: TableColumnOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Describe the contents of a file.

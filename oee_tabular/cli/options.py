@@ -69,6 +69,17 @@ ColumnOption = Annotated[
     ),
 ]
 
+TableColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        metavar="COLUMN=LABEL",
+        help="What a simulator's table or a log calls a column, repeatable:"
+        " next_state=pose_after.",
+        rich_help_panel=INPUT,
+    ),
+]
+
 PoliciesOption = Annotated[
     list[str] | None,
     typer.Option(
