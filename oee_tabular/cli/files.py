@@ -42,7 +42,12 @@ from oee_tabular.cli.options import (
     print_result,
     remark,
 )
-from oee_tabular.cli.simulators import is_table, read_simulator
+from oee_tabular.cli.simulators import (
+    describe_table,
+    is_table,
+    load_samples,
+    read_simulator,
+)
 from oee_tabular.continuous import is_continuous, record_log, task_options
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
@@ -494,8 +499,6 @@ def describe_files(
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
     if is_single and path.suffix.lower() in (".csv", ".gz"):
-        from oee_tabular.cli.simulators import describe_table
-
         table = describe_table(file, columns or {})
         if table is not None:
             return "simulator_table", table
@@ -509,7 +512,7 @@ def describe_files(
         if policy is not None and "next_state" not in (columns or {}):
             _refuse_columns(file, "holds a policy")
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
-        log = oee.Transitions.load(files, columns=columns)
+        log = load_samples(files, columns or {})
         return "transitions", repr(log) + _describe_labels(log, files, columns)
     if columns:
         _refuse_columns(file, "is no table")
