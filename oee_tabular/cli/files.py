@@ -43,6 +43,7 @@ from oee_tabular.cli.options import (
     remark,
 )
 from oee_tabular.cli.simulators import (
+    describe_ends,
     describe_table,
     is_table,
     load_samples,
@@ -334,6 +335,8 @@ def export(
         "transitions": mdp.transitions.nnz,
     }
     text = f"{output}: {saved!r}"
+    if is_table(simulator):
+        text += f"\n{describe_ends(mdp)}"
     if has_default_discount(simulator, discount, task):
         default = describe_default_discount(mdp.discount)
         if as_json:

@@ -17,6 +17,7 @@ from oee_tabular.exceptions import ArgumentError, DataWarning
 SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
 PROBABILITY = "probability"
 FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
+FEW_STATES = 5  # that are named of those where episodes start or are over
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
 
@@ -401,6 +402,30 @@ def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
         f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
         " STATE --discount G --output simulator.npz"
     )
+
+
+def describe_ends(mdp: oee.FiniteMDP) -> str:
+    """Return in words where episodes of a table's simulator start and are over."""
+    starts = _list_states(mdp, np.flatnonzero(mdp.initial > 0))
+    ends = np.flatnonzero(mdp.absorbing())
+    text = f"episodes start in {starts}; "
+    if not ends.size:
+        return f"{text}no state is terminal"
+    are, back = ("is", "it") if ends.size == 1 else ("are", "the same state")
+    return (
+        f"{text}{_list_states(mdp, ends)} {are} terminal: every action leads back to"
+        f" {back} with reward 0"
+    )
+
+
+def _list_states(mdp: oee.FiniteMDP, states: Any) -> str:
+    """Return the names or numbers of states in words, of many only the first ones."""
+    names = [
+        str(k) if mdp.state_names is None else str(mdp.state_names[k])
+        for k in states[:FEW_STATES].tolist()
+    ]
+    more = len(states) - len(names)
+    return ", ".join(names) + (f" and {more} other states" if more else "")
 
 
 def _number(column: Any) -> tuple[Any, list[Any] | None]:

@@ -367,3 +367,24 @@ def test_all_missing_columns_are_named_at_once(run, tmp_path):
     assert "must be separated by commas" in run("info s.csv", code=2)
     told = run(f"info own.csv {OWN_COLUMNS}")
     assert "table of a simulator: 6 transitions of 3 states" in told
+
+
+def test_export_of_a_table_says_where_episodes_start_and_are_over(run, tmp_path):
+    (tmp_path / "own.csv").write_text(OWN_NAMES)
+    told = run(f"export own.csv --initial dock --output s.npz {OWN_COLUMNS}")
+    assert told.splitlines()[1] == (
+        "episodes start in dock; delivered is terminal: every action leads back to it"
+        " with reward 0"
+    )
+    rows = ["0,0,1,0.5,0", "0,0,2,0.5,0"]
+    header = "state,action,next_state,probability,reward"
+    (tmp_path / "two.csv").write_text("\n".join([header, *rows]))
+    told = run("export two.csv --initial 0 --output two.npz")
+    assert "start in 0; 1, 2 are terminal: every action leads back to the same" in told
+    rows = [f"0,0,{k},0.125,0" for k in range(1, 9)]
+    (tmp_path / "many.csv").write_text("\n".join([header, *rows]))
+    told = run("export many.csv --initial 0 --output many.npz")
+    assert "1, 2, 3, 4, 5 and 3 other states are terminal" in told
+    (tmp_path / "none.csv").write_text(f"{header}\n0,0,0,1,1")
+    told = run("export none.csv --initial 0 --output none.npz")
+    assert "episodes start in 0; no state is terminal" in told
