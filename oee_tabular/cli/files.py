@@ -22,7 +22,6 @@ from oee_tabular.cli.inputs import (
     read_columns,
     task_of,
     tell_default_discount,
-    write_array,
 )
 from oee_tabular.cli.options import (
     INPUT,
@@ -243,7 +242,8 @@ def policy(
         typer.Option(
             "--output",
             metavar="FILE",
-            help="The policy as .npy, an array of shape (S, A).",
+            help="The policy: .npy, an array of shape (S, A), or .csv, a table with"
+            " names.",
             rich_help_panel=OUTPUT,
         ),
     ],
@@ -251,14 +251,16 @@ def policy(
     as_json: JsonOption = False,
 ) -> None:
     """Write a policy of a simulator to a file."""
-    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npy",))
+    from oee_tabular.cli.policies import ENDINGS, write_pairs
+
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=ENDINGS)
     task = task_of(simulator, discount)
     table = policy_of(spec, task, "policy")
     tell_default_discount(simulator, discount, task)
     n_states, n_actions = table.shape
     text = f"{output}: policy of {n_states} states and {n_actions} actions"
     with file.writing():
-        write_array(output, table)
+        write_pairs(output, table, task.mdp)
     record = {"file": str(output), "states": n_states, "actions": n_actions}
     print_result(text, record, as_json)
 
