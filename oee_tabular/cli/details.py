@@ -28,22 +28,32 @@ _TRANSITION_FILES = {
     "FILE.npy": "Shape (S, A, S), or (entries,) of the simulator's transitions.",
 }
 
+_SIMULATORS = {
+    "gridworld:10,slip=0.3": "A task of ours, or bus_engines:group=3.",
+    "FILE.npz": "A saved FiniteMDP.",
+    "FILE.umb": "A model of PRISM or Storm, or a saved FiniteMDP.",
+    "FILE.csv": "No simulator yet; `oee export` makes one of it.",
+    "FrozenLake-v1:map_name=8x8": "A Gymnasium id with its arguments.",
+    "MODULE:OBJECT,key=value": (
+        "Your own FiniteMDP or Gymnasium environment with a table P, or what makes one."
+    ),
+    "MODULE:EnvId-v0": "A Gymnasium id that your module registers.",
+    "cartpole:gravity=10": "A continuous task: cartpole, reacher or kinova.",
+    "Pendulum-v1:g=9": "A Gymnasium id whose states are continuous.",
+    "MODULE:EnvId-v0:key=value": "The same, registered by your module.",
+}
+
 # an option or the name of a value -> the forms of the value -> what each means; an
 # entry that begins with a command is of that command alone
 DETAILS: dict[str, dict[str, str]] = {
-    "SIM": {
-        "gridworld:10,slip=0.3": "A task of ours, or bus_engines:group=3.",
-        "FILE.npz": "A saved FiniteMDP.",
-        "FILE.umb": "A model of PRISM or Storm, or a saved FiniteMDP.",
-        "FrozenLake-v1:map_name=8x8": "A Gymnasium id with its arguments.",
-        "MODULE:OBJECT,key=value": (
-            "Your own FiniteMDP or Gymnasium environment with a table P, or what makes"
-            " one."
+    "SIM": _SIMULATORS,
+    "export SIM": _SIMULATORS
+    | {
+        "FILE.csv": (
+            "A table with the columns state, action, next_state, probability and"
+            " reward, or of samples, without probability."
         ),
-        "MODULE:EnvId-v0": "A Gymnasium id that your module registers.",
-        "cartpole:gravity=10": "A continuous task: cartpole, reacher or kinova.",
-        "Pendulum-v1:g=9": "A Gymnasium id with continuous states, and its physics.",
-        "MODULE:EnvId-v0:key=value": "The same, registered by your module.",
+        "FILE.parquet": "A table of samples.",
     },
     "SPEC": {
         "uniform": "All actions with the same probability.",
@@ -72,6 +82,11 @@ DETAILS: dict[str, dict[str, str]] = {
         "state=row,column": "Several columns to a state or an action make a tuple.",
         "state_0=x": "One coordinate of a continuous state.",
         "terminated=": "The files have no such column; nothing else is read as it.",
+    },
+    "export --column": {
+        "state=pose": "The column pose of the table has the states.",
+        "next_state=LABEL": "The same of action, next_state, probability and reward.",
+        "probability=": "The table has no probabilities; each row is a sample.",
     },
     "TRIALS": {
         "9/12": "9 of 12 trials succeeded; `--success` says in which states.",
@@ -211,15 +226,19 @@ JSON_KEYS = {
 
 
 def details_of(command: str, parameters: Iterable[Any]) -> dict[str, dict[str, str]]:
-    """Return the entries of ``DETAILS`` that a command's parameters have."""
+    """Return the entries of ``DETAILS`` that a command's parameters have.
+
+    Forms of one command alone stand in place of those of all commands.
+    """
     found: dict[str, dict[str, str]] = {}
     for parameter in parameters:
         value = (parameter.metavar or "").removeprefix("NAME=")
         option = parameter.opts[0]
         for title, key in (
+            (value, f"{command} {value}"),
             (value, value),
-            (option, option),
             (option, f"{command} {option}"),
+            (option, option),
         ):
             if key in DETAILS:
                 found.setdefault(title, DETAILS[key])

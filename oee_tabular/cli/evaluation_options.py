@@ -24,7 +24,7 @@ from oee_tabular.cli.options import (
     JsonOption,
     OptionalLogOption,
     OptionalSimulatorOption,
-    OverwriteFolderOption,
+    OverwriteReportOption,
     PoliciesOption,
     RewardsOption,
     SeedOption,
@@ -234,7 +234,7 @@ class OutputOptions:
             rich_help_panel=OUTPUT,
         ),
     ] = None
-    overwrite: OverwriteFolderOption = False
+    overwrite: OverwriteReportOption = False
     as_json: JsonOption = False
 
 

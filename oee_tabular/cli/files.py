@@ -22,7 +22,6 @@ from oee_tabular.cli.inputs import (
     read_columns,
     task_of,
     tell_default_discount,
-    write_array,
 )
 from oee_tabular.cli.options import (
     INPUT,
@@ -38,10 +37,17 @@ from oee_tabular.cli.options import (
     OverwriteOption,
     SeedOption,
     SimulatorArgument,
+    TableColumnOption,
     print_result,
     remark,
 )
-from oee_tabular.cli.simulators import is_table, read_simulator
+from oee_tabular.cli.simulators import (
+    describe_ends,
+    describe_table,
+    is_table,
+    load_samples,
+    read_simulator,
+)
 from oee_tabular.continuous import is_continuous, record_log, task_options
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.typing import Array
@@ -236,7 +242,8 @@ def policy(
         typer.Option(
             "--output",
             metavar="FILE",
-            help="The policy as .npy, an array of shape (S, A).",
+            help="The policy: .npy, an array of shape (S, A), or .csv, a table with"
+            " names.",
             rich_help_panel=OUTPUT,
         ),
     ],
@@ -244,14 +251,16 @@ def policy(
     as_json: JsonOption = False,
 ) -> None:
     """Write a policy of a simulator to a file."""
-    file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npy",))
+    from oee_tabular.cli.policies import ENDINGS, write_pairs
+
+    file = _files.new_file(output, "--output", overwrite=overwrite, endings=ENDINGS)
     task = task_of(simulator, discount)
     table = policy_of(spec, task, "policy")
     tell_default_discount(simulator, discount, task)
     n_states, n_actions = table.shape
     text = f"{output}: policy of {n_states} states and {n_actions} actions"
     with file.writing():
-        write_array(output, table)
+        write_pairs(output, table, task.mdp)
     record = {"file": str(output), "states": n_states, "actions": n_actions}
     print_result(text, record, as_json)
 
@@ -259,7 +268,7 @@ def policy(
 def export(
     *,
     simulator: SimulatorArgument,
-    column: ColumnOption = None,
+    column: TableColumnOption = None,
     initial: InitialOption = None,
     action_noise: ActionNoiseOption = 0.0,
     samples_per_pair: Annotated[
@@ -288,8 +297,9 @@ def export(
     """Write a simulator to a file.
 
     A continuous task is written as its finite MDP, with the cells and what they were
-    made from. A table (.csv, .parquet) of samples is written by its frequencies, and
-    one with a column probability as it is.
+    made from. A table (.csv) with the columns state, action, next_state, probability
+    and reward is written as it is. One of samples (.csv, .parquet), without
+    probability, is written by its frequencies.
     """
     endings = oee.tasks.MDP_ENDINGS
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
@@ -327,6 +337,8 @@ def export(
         "transitions": mdp.transitions.nnz,
     }
     text = f"{output}: {saved!r}"
+    if is_table(simulator):
+        text += f"\n{describe_ends(mdp)}"
     if has_default_discount(simulator, discount, task):
         default = describe_default_discount(mdp.discount)
         if as_json:
@@ -423,7 +435,7 @@ def info(
             rich_help_panel=INPUT,
         ),
     ],
-    column: ColumnOption = None,
+    column: TableColumnOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Describe the contents of a file.
@@ -492,8 +504,6 @@ def describe_files(
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
     if is_single and path.suffix.lower() in (".csv", ".gz"):
-        from oee_tabular.cli.simulators import describe_table
-
         table = describe_table(file, columns or {})
         if table is not None:
             return "simulator_table", table
@@ -507,7 +517,7 @@ def describe_files(
         if policy is not None and "next_state" not in (columns or {}):
             _refuse_columns(file, "holds a policy")
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
-        log = oee.Transitions.load(files, columns=columns)
+        log = load_samples(files, columns or {})
         return "transitions", repr(log) + _describe_labels(log, files, columns)
     if columns:
         _refuse_columns(file, "is no table")

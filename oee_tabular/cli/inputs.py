@@ -7,7 +7,6 @@ MODULE:ENV-ID.
 from __future__ import annotations
 
 import difflib
-import io
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -16,8 +15,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks, _files, _progress
@@ -318,15 +315,6 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
         "must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz"
         f" or .csv file; got {spec!r}{hint}",
     )
-
-
-def write_array(path: Path, array: Array) -> None:
-    """Write a .npy file, which appears complete or not at all."""
-    # np.save to a file would lose the system's message about a full disk
-    content = io.BytesIO()
-    np.save(content, array, allow_pickle=False)
-    with _files.whole_file(path, (".npy",)) as handle:
-        handle.write(content.getbuffer())
 
 
 def read_problem(

@@ -69,6 +69,17 @@ ColumnOption = Annotated[
     ),
 ]
 
+TableColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        metavar="COLUMN=LABEL",
+        help="What a simulator's table or a log calls a column, repeatable:"
+        " next_state=pose_after.",
+        rich_help_panel=INPUT,
+    ),
+]
+
 PoliciesOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -252,7 +263,18 @@ OverwriteFolderOption = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace files that the command did not write, or that changed since.",
+        help="Replace also files of the folder that the command did not write, or that"
+        " changed since.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+OverwriteReportOption = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace an existing `--report`, and files of the `--output` folder that"
+        " changed or are not its own.",
         rich_help_panel=OUTPUT,
     ),
 ]

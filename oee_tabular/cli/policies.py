@@ -1,4 +1,4 @@
-"""Policies from CSV tables: a row for each state and action, or for each state.
+"""Policies in CSV tables: a row for each state and action, or for each state.
 
 Labels are those of a log's tables (``data.aliases``); others are found by the names of
 the simulator's states and actions that their columns hold.
@@ -6,12 +6,14 @@ the simulator's states and actions that their columns hold.
 
 from __future__ import annotations
 
+import io
 import re
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import (
     POLICY_PROBABILITY,
     find_field,
@@ -28,12 +30,16 @@ from oee_tabular.data.labels import (
 from oee_tabular.data.tables import csv_frame, read_labels
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, numbers_of
+from oee_tabular.typing import Array
 
 RULE = (
     "must have the columns state and action, with probability or without, or state and"
     " one for each action, and at least one row"
 )
 INDEX = re.compile(r"Unnamed: \d+|index|level_0|")  # as pandas calls its index
+
+
+ENDINGS = (".npy", ".csv")  # of the files that are written
 
 
 class Columns(NamedTuple):
@@ -98,6 +104,37 @@ def read_policy_table(path: str, mdp: FiniteMDP) -> dict[Any, Any]:
     for state, action, number in rows:
         policy.setdefault(state, {})[action] = number
     return policy
+
+
+def write_pairs(
+    path: Path, values: Array, mdp: FiniteMDP, label: str = "probability"
+) -> None:
+    """Write numbers of the state-action pairs, by default a policy's probabilities.
+
+    A .npy file has the array of shape (S, A). A .csv file has the columns state, action
+    and ``label``, and the simulator's names. The file appears complete or not at all.
+    """
+    if not _files.has_ending(path, (".csv",)):
+        write_array(path, values)
+        return
+    import pandas as pd
+
+    states = mdp.state_names or range(mdp.n_states)
+    actions = mdp.action_names or range(mdp.n_actions)
+    rows = [(str(state), str(action)) for state in states for action in actions]
+    frame = pd.DataFrame(rows, columns=["state", "action"])
+    frame[label] = np.asarray(values, dtype=np.float64).ravel()
+    with _files.whole_file(path, (".csv",)) as handle:
+        frame.to_csv(handle, index=False)
+
+
+def write_array(path: Path, array: Array) -> None:
+    """Write a .npy file, which appears complete or not at all."""
+    # np.save to a file would lose the system's message about a full disk
+    content = io.BytesIO()
+    np.save(content, array, allow_pickle=False)
+    with _files.whole_file(path, (".npy",)) as handle:
+        handle.write(content.getbuffer())
 
 
 def require_commas(path: str) -> None:

@@ -17,6 +17,7 @@ from oee_tabular.exceptions import ArgumentError, DataWarning
 SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
 PROBABILITY = "probability"
 FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
+FEW_STATES = 5  # that are named of those where episodes start or are over
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
 
@@ -74,7 +75,7 @@ def read_simulator(
         if own.pop(PROBABILITY, "") is None:
             # frequencies have no use for the probabilities of a log's actions either
             own.setdefault("behavior_probability", None)
-        log = oee.Transitions.load(path, columns=own)
+        log = load_samples(path, own)
         if start is None and log.episode is None:
             _require_initial(path)
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
@@ -117,6 +118,76 @@ def _has_probabilities(
                 f" out, where each row is a sample: --column {PROBABILITY}=)",
             )
     return False
+
+
+def load_samples(files: Any, columns: Mapping[str, Any]) -> Any:
+    """Load a log; an error says of a single file which columns a simulator's has."""
+    try:
+        return oee.Transitions.load(files, columns=columns)
+    except ArgumentError as error:
+        paths = [files] if isinstance(files, str) else files
+        # errors of other kinds know better what is wrong
+        is_of_names = "(say which column holds it: " in error.rule
+        if len(paths) > 1 or not is_of_names or " looks like the header" in error.rule:
+            raise
+        _name_missing(paths[0], columns, error)
+        raise
+
+
+def _name_missing(path: str, columns: Mapping[str, Any], error: ArgumentError) -> None:
+    """Raise an ArgumentError that names each missing column of a .csv file.
+
+    Where a change of the file is what helps (other separators, other spellings), the
+    reader's ``error`` says so already.
+    """
+    from oee_tabular.data.labels import suggest_columns
+    from oee_tabular.data.tables import read_labels
+
+    if not path.lower().endswith((".csv", ".csv.gz")) or not Path(path).is_file():
+        return
+    labels = read_labels(path)
+    if any(label not in labels for label in columns.values()):
+        return  # several columns to a state, or none
+    missing = _find_missing(labels, columns, FIELDS[:3])
+    if not missing or suggest_columns(FIELDS[:3], labels):
+        return
+    lacks = _find_missing(labels, columns, FIELDS[3:])
+    more = "has probability and reward as well"
+    if lacks:
+        words = " ".join(f"--column {field}=LABEL" for field in lacks)
+        more += f" ({words})"
+    raise ArgumentError(
+        repr(path),
+        f"must have the columns {', '.join(FIELDS[:3])}; it has"
+        f" {_describe_missing(labels, missing, columns)}; a simulator's table,"
+        f" for oee export, {more}",
+    ) from error
+
+
+def _find_missing(
+    labels: list[Any], columns: Mapping[str, Any], fields: tuple[str, ...]
+) -> list[str]:
+    """Return which of the fields no column of a table holds."""
+    return [
+        field for field in fields if _find_label(field, labels, columns) not in labels
+    ]
+
+
+def _describe_missing(
+    labels: list[Any], missing: list[str], columns: Mapping[str, Any]
+) -> str:
+    """Return in words what a table has, what it lacks, and the options that help."""
+    from oee_tabular.data.labels import show_labels, suggest_label
+
+    known = {_find_label(field, labels, columns) for field in FIELDS}
+    free = [label for label in labels if label not in known]
+    names = []
+    for field in missing:
+        name = columns.get(field) or field
+        names.append(f"{name}{suggest_label(name, free)}")
+    words = " ".join(f"--column {field}=LABEL" for field in missing)
+    lacking = " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    return f"{show_labels(labels)}, and none is {lacking} ({words})"
 
 
 def _require_initial(path: str) -> None:
@@ -226,7 +297,7 @@ def _require_every_action(
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
-    from oee_tabular.data.labels import show_labels, suggest_label, warn_left_out
+    from oee_tabular.data.labels import warn_left_out
     from oee_tabular.data.tables import csv_frame
 
     name = repr(path)
@@ -240,19 +311,18 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
                 f" probabilities; it names {_checks.show(field)}",
             )
     frame = drop_index(csv_frame(path))
+    labels = list(frame.columns)
+    missing = _find_missing(labels, columns, FIELDS)
+    if missing:
+        raise ArgumentError(
+            name,
+            "must have the columns state, action, next_state, probability and reward;"
+            f" it has {_describe_missing(labels, missing, columns)}",
+        )
     found = []
     used = []
     for field in FIELDS:
-        label = _find_label(field, list(frame.columns), columns)
-        if label not in list(frame.columns):
-            free = [each for each in frame.columns if each not in used]
-            raise ArgumentError(
-                name,
-                "must have the columns state, action, next_state, probability and"
-                f" reward; it has {show_labels(list(frame.columns))}, and none is"
-                f" {label or field} (--column {field}=LABEL)"
-                f"{suggest_label(label or field, free)}",
-            )
+        label = _find_label(field, labels, columns)
         used.append(label)
         values = frame[label].to_numpy()
         if frame[label].isna().any():
@@ -338,6 +408,30 @@ def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
         f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
         " STATE --discount G --output simulator.npz"
     )
+
+
+def describe_ends(mdp: oee.FiniteMDP) -> str:
+    """Return in words where episodes of a table's simulator start and are over."""
+    starts = _list_states(mdp, np.flatnonzero(mdp.initial > 0))
+    ends = np.flatnonzero(mdp.absorbing())
+    text = f"episodes start in {starts}; "
+    if not ends.size:
+        return f"{text}no state is terminal"
+    are, back = ("is", "it") if ends.size == 1 else ("are", "the same state")
+    return (
+        f"{text}{_list_states(mdp, ends)} {are} terminal: every action leads back to"
+        f" {back} with reward 0"
+    )
+
+
+def _list_states(mdp: oee.FiniteMDP, states: Any) -> str:
+    """Return the names or numbers of states in words, of many only the first ones."""
+    names = [
+        str(k) if mdp.state_names is None else str(mdp.state_names[k])
+        for k in states[:FEW_STATES].tolist()
+    ]
+    more = len(states) - len(names)
+    return ", ".join(names) + (f" and {more} other states" if more else "")
 
 
 def _number(column: Any) -> tuple[Any, list[Any] | None]:

@@ -25,7 +25,6 @@ from oee_tabular.cli.inputs import (
     policy_of,
     read_box,
     read_problem,
-    write_array,
 )
 from oee_tabular.cli.options import (
     INPUT,
@@ -300,7 +299,8 @@ def plan(
         typer.Option(
             "--output",
             metavar="FILE",
-            help="The behaviour policy (with `--free`, shares of the pairs) as .npy.",
+            help="The behaviour policy (with `--free`, shares of the pairs): .npy, or"
+            " .csv with names.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -312,11 +312,11 @@ def plan(
     It prints a behaviour policy, and the width of each value's interval before and
     after.
     """
+    from oee_tabular.cli.policies import ENDINGS
+
     file = None
     if output is not None:
-        file = _files.new_file(
-            output, "--output", overwrite=overwrite, endings=(".npy",)
-        )
+        file = _files.new_file(output, "--output", overwrite=overwrite, endings=ENDINGS)
     asked = _read_plan_options(plan_option or []) | read_box(box)
     task, problem, notes = read_problem(
         simulator,
@@ -345,7 +345,7 @@ def plan(
         "log_notes": notes,
     }
     if file is not None:
-        lines.append(f"{output}: {_save_plan(made, file, free=free)}")
+        lines.append(f"{output}: {_save_plan(made, file, task.mdp, free=free)}")
     print_result("\n".join(lines), record, as_json)
 
 
@@ -355,13 +355,17 @@ def _read_plan_options(texts: list[str]) -> dict[str, Any]:
     return {name: literal(text) for name, text in settings.items()}
 
 
-def _save_plan(made: oee.design.Plan, file: _writing.Output, *, free: bool) -> str:
+def _save_plan(
+    made: oee.design.Plan, file: _writing.Output, mdp: oee.FiniteMDP, *, free: bool
+) -> str:
     """Save what a plan says to record; return what the file holds."""
+    from oee_tabular.cli.policies import write_pairs
+
     with file.writing():
         if free:
-            write_array(file.path, made.distribution)
+            write_pairs(file.path, made.distribution, mdp, "share")
             return "shares of the pairs, (S, A), that sum to 1"
-        write_array(file.path, made.behavior_policy)
+        write_pairs(file.path, made.behavior_policy, mdp)
         return "policy to record with"
 
 

@@ -278,3 +278,31 @@ def test_progress_names_policies_and_intervals(folder, monkeypatch):
     assert " ".join(steps) == " ".join(
         [*work, "comparison of the policies, and what to record next"]
     )
+
+
+def test_overwrite_says_of_each_command_what_it_replaces(run, monkeypatch):
+    """Only a folder has files that are replaced unasked; a page is a file as others."""
+    monkeypatch.setenv("COLUMNS", "200")
+    of_page = "Replace an existing --report, and files of the --output folder that"
+    of_folder = "Replace also files of the folder that the command did not write"
+    for command in ("evaluate", "reproduce", "bench", "improve", "plan", "export"):
+        text = run(f"{command} --help")
+        assert (of_page in text) == (command == "evaluate")
+        assert (of_folder in text) == (command in ("reproduce", "bench"))
+        is_file = command in ("improve", "plan", "export")
+        assert ("Replace a file that exists" in text) == is_file
+
+
+def test_help_says_what_a_table_of_a_simulator_is(run, monkeypatch):
+    """Only ``export`` takes one, and its help has the names of the columns."""
+    monkeypatch.setenv("COLUMNS", "200")
+    fields = "state, action, next_state, probability and reward"
+    for command in ("evaluate", "plan", "policy", "sample"):
+        text = run(f"{command} --help")
+        assert "FILE.csv                    No simulator yet; oee export makes" in text
+        assert fields not in text
+    text = run("export --help")
+    assert "No simulator yet" not in text
+    assert f"FILE.csv                    A table with the columns {fields}" in text
+    for command in ("export", "info"):
+        assert "a simulator's table or a log calls" in run(f"{command} --help")

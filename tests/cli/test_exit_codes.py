@@ -44,7 +44,7 @@ LINES = {
         f"{DATA} --transitions 9 --output n.npy",
         f"{DATA} --transitions 0",
         f"{DATA} --transitions many",
-        f"{DATA} --transitions 9 --output n.csv",
+        f"{DATA} --transitions 9 --output n.txt",
     ),
     "sample": (
         "sim.npz --episodes 2 --output l.csv",

@@ -164,3 +164,39 @@ def test_a_column_that_may_be_the_probability_is_asked_after(tmp_path, label):
     frame = pd.DataFrame({"state": STATES, "action": "up", label: 0.5})
     with pytest.raises(ValueError, match=f"'{label}' resembles probability"):
         read(tmp_path, frame)
+
+
+@pytest.mark.parametrize("has_names", [True, False])
+def test_policies_are_written_as_tables_that_are_read_again(run, tmp_path, has_names):
+    grid = GRID if has_names else oee.tasks.gridworld(3, slip=0.3)
+    grid.save("sim.npz")
+    told = run("policy sim.npz mix:0.7 --output pi.csv")
+    assert told.startswith("pi.csv: policy of 9 states and 4 actions")
+    run("policy sim.npz mix:0.7 --output pi.npy")
+    frame = pd.read_csv("pi.csv")
+    assert list(frame.columns) == ["state", "action", "probability"]
+    assert frame["state"][0] == (STATES[0] if has_names else 0)
+    run("policy sim.npz pi.csv --output again.npy")
+    np.testing.assert_array_equal(np.load("again.npy"), np.load("pi.npy"))
+    assert "probabilities 'probability'" in run("info pi.csv")
+    told = run("policy sim.npz mix:0.7 --output pi.txt", code=2)
+    assert "--output must end in .npy or .csv; it is 'pi.txt'" in told
+    assert "--overwrite" in run("policy sim.npz uniform --output pi.csv", code=2)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"a, {k}" for k in range(9)],
+        [f"-{k}=" for k in range(9)],
+        [(k // 3, k % 3) for k in range(9)],
+        [("x", k) for k in range(9)],
+        ["NA", "null", "None", "true", "False", "é", "=1", "'", '"'],
+    ],
+)
+def test_odd_names_of_a_written_policy_are_read_again(run, tmp_path, names):
+    oee.tasks.gridworld(3, slip=0.3).with_names(names, ACTIONS).save("sim.npz")
+    run("policy sim.npz mix:0.7 --output pi.csv")
+    run("policy sim.npz mix:0.7 --output pi.npy")
+    run("policy sim.npz pi.csv --output again.npy")
+    np.testing.assert_array_equal(np.load("again.npy"), np.load("pi.npy"))

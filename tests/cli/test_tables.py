@@ -262,7 +262,7 @@ def test_a_misspelt_column_of_a_table_of_probabilities_is_named(run, folder):
     table = table_of(oee.FiniteMDP.load("sim.npz"))
     table.rename(columns={"reward": "rewrad"}).to_csv("t.csv", index=False)
     told = run("export t.csv --initial r0c0 --output made.npz", code=2)
-    assert "none is reward (--column reward=LABEL) (did you mean 'rewrad'?)" in told
+    assert "none is reward (did you mean 'rewrad'?) (--column reward=LABEL)" in told
     table.to_csv("t.csv", index=False)
     words = "--column probability=weight"
     told = run(f"export t.csv {words} --initial r0c0 --output made.npz", code=2)
@@ -349,3 +349,68 @@ def test_info_takes_a_table_for_a_log_where_that_is_said(folder, run):
     words = "info t.csv --column behavior_probability=probability"
     assert run(words).startswith("Transitions(2 transitions")
     assert "table of a simulator" not in run("info t.csv --column probability=", code=2)
+
+
+OWN_NAMES = """pose,cmd,next_pose,chance,reward
+dock,go,aisle,0.8,-1
+dock,go,dock,0.2,-1
+dock,wait,dock,1,0
+aisle,go,delivered,0.9,5
+aisle,go,dock,0.1,-1
+aisle,wait,aisle,1,0
+"""
+OWN_COLUMNS = " ".join(
+    f"--column {field}={label}"
+    for field, label in (
+        ("state", "pose"),
+        ("action", "cmd"),
+        ("next_state", "next_pose"),
+        ("probability", "chance"),
+    )
+)
+
+
+def test_all_missing_columns_are_named_at_once(run, tmp_path):
+    (tmp_path / "own.csv").write_text(OWN_NAMES)
+    all_three = "--column state=LABEL --column action=LABEL --column next_state=LABEL)"
+    of_simulator = "has probability and reward as well (--column probability=LABEL)"
+    for words in ("info own.csv", "export own.csv --initial dock --output s.npz"):
+        told = run(words, code=2)
+        assert "none is state, action or next_state" in told
+        assert all_three in told
+        assert of_simulator in told
+    words = "export own.csv --initial dock --output s.npz --column probability=chance"
+    told = run(words, code=2)
+    assert "probability and reward; it has pose, cmd, next_pose, chance, reward" in told
+    assert all_three in told
+    told = run(f"{words} --column state=pose --column reward=pay", code=2)
+    assert "none is action, next_state (did you mean 'next_pose'?) or pay" in told
+    assert "--column next_state=LABEL --column reward=LABEL)" in told
+    # a way on that the reader knows stays
+    (tmp_path / "s.csv").write_text(
+        OWN_NAMES.replace("pose", "state", 1).replace(",", ";")
+    )
+    assert "must be separated by commas" in run("info s.csv", code=2)
+    told = run(f"info own.csv {OWN_COLUMNS}")
+    assert "table of a simulator: 6 transitions of 3 states" in told
+
+
+def test_export_of_a_table_says_where_episodes_start_and_are_over(run, tmp_path):
+    (tmp_path / "own.csv").write_text(OWN_NAMES)
+    told = run(f"export own.csv --initial dock --output s.npz {OWN_COLUMNS}")
+    assert told.splitlines()[1] == (
+        "episodes start in dock; delivered is terminal: every action leads back to it"
+        " with reward 0"
+    )
+    rows = ["0,0,1,0.5,0", "0,0,2,0.5,0"]
+    header = "state,action,next_state,probability,reward"
+    (tmp_path / "two.csv").write_text("\n".join([header, *rows]))
+    told = run("export two.csv --initial 0 --output two.npz")
+    assert "start in 0; 1, 2 are terminal: every action leads back to the same" in told
+    rows = [f"0,0,{k},0.125,0" for k in range(1, 9)]
+    (tmp_path / "many.csv").write_text("\n".join([header, *rows]))
+    told = run("export many.csv --initial 0 --output many.npz")
+    assert "1, 2, 3, 4, 5 and 3 other states are terminal" in told
+    (tmp_path / "none.csv").write_text(f"{header}\n0,0,0,1,1")
+    told = run("export none.csv --initial 0 --output none.npz")
+    assert "episodes start in 0; no state is terminal" in told

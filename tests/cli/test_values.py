@@ -316,6 +316,13 @@ def test_plan_writes_a_policy_that_narrows_the_intervals(run, folder):
     found = json.loads(run(PLAN, "--json"))
     assert found["most"][0]["state"].startswith("r")
     assert found["most"][0]["action"] in "nesw"
+    # with the simulator's names, which --policy reads
+    run(PLAN, "--policy one=mix:0.5 --policy two=mix:0.9 --output next.csv")
+    assert pd.read_csv("next.csv")["state"][0] == "r0c0"
+    run("policy sim.npz next.csv --output again.npy")
+    assert_allclose(np.load("again.npy"), np.load("next.npy"))
+    run(PLAN, "--free --output share.csv")
+    assert_allclose(pd.read_csv("share.csv")["share"].sum(), 1.0)
     free = run(PLAN, "--free --output share.npy")
     assert "shares of the pairs, (S, A), that sum to 1" in free
     assert_allclose(np.load("share.npy").sum(), 1.0)
