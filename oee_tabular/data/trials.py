@@ -680,7 +680,7 @@ def _refuse_misspelt(unread: Sequence[str], known: Container[str], name: str) ->
     """
     written = {label.strip().lower()[:80]: label for label in unread[:1000]}
     for field in ("policy", "weight"):
-        near = list(find_misspelt(written.keys() - OTHER_WORDS, [field]))
+        near = list(find_misspelt(sorted(written.keys() - OTHER_WORDS), [field]))
         if near and field not in known:
             shown = _checks.show(written[str(near[0])])
             raise ArgumentError(
