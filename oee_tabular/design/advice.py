@@ -59,7 +59,7 @@ def advice_sentence(
     names: Names,
     of: Literal["value", "gain"] = "value",
 ) -> str:
-    """Say which pair to record first, and why.
+    """Say which pair to record first, what for, and why.
 
     ``table`` (K, S, A) are costs, ``counts`` and ``optimistic`` have shape (S, A);
     ``of`` says what the costs are the variance of.
@@ -68,10 +68,14 @@ def advice_sentence(
         return NO_ADVICE
     state, action = pairs[0]
     n = counts[state, action]
+    # an interval assumes something of pairs without records, and may widen with the
+    # first of them; of what the model is sure it allows nothing else
     why = "never recorded"
+    purpose = "To put data in place of an assumption"
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
     if optimistic[state, action]:
         why = f"{so_far}; the model has one outcome"
+        purpose = "To test what the model is sure of"
     elif n > 0:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
@@ -82,8 +86,9 @@ def advice_sentence(
             where=total > 0.0,
         )
         why = f"{so_far}, {shares.mean():.0%} of the {of}'s variance"
+        purpose = "To narrow the interval"
     pair = describe_pair(names, state, action)
-    return f"To narrow the interval, collect data on {pair} first ({why})."
+    return f"{purpose}, collect data on {pair} first ({why})."
 
 
 def describe_pair(names: Names, state: int, action: int) -> str:

@@ -384,7 +384,8 @@ def test_what_was_never_recorded_comes_first():
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
     assert advice == (
-        "To narrow the interval, collect data on action down in cell (0, 0) first"
+        "To put data in place of an assumption, collect data on action down in cell"
+        " (0, 0) first"
         " (never recorded)."
     )
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
@@ -468,8 +469,8 @@ def test_a_certain_simulator_has_nothing_to_learn():
     far, advice = report.uncertainty.sentences
     assert "one possible next state in every recorded" in far
     assert (
-        advice == "To narrow the interval, collect data on action 0 in state 0 first (1"
-        " transition so far; the model has one outcome)."
+        advice == "To test what the model is sure of, collect data on action 0 in state"
+        " 0 first (1 transition so far; the model has one outcome)."
     )
     over = Problem(
         oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9),
