@@ -11,7 +11,9 @@ metadata is the slide's text: in place of a cell's own, or above a picture. So a
 stands alone, with its numbers and assumptions. Where a text of code has no heading, it
 is the title of the picture. Exercises and solutions are never shown. The notebooks are
 run for pictures of 1920 x 1080 pixels, which takes about two minutes of one core;
-``--stored`` takes their stored pictures and a few seconds.
+``--stored`` takes their stored pictures and a few seconds. A cell with
+``"slide_picture": "stored"`` in its metadata always has its stored picture: one with
+many panels is too small in the shape of a slide.
 
 Decks are shown by reveal.js 4, which is loaded from a URL unless ``--reveal`` names a
 folder with a copy: ``npm pack reveal.js@4.6.1`` and ``tar xf reveal.js-4.6.1.tgz``
@@ -110,12 +112,20 @@ def run_for_slides(book: Any) -> Any:
         if cell.cell_type == "code"
     ]
     before = BEFORE.replace("HEADINGS", repr(headings))
+    stored = {
+        cell.id: cell.outputs
+        for cell in shown
+        if cell.metadata.get("slide_picture") == "stored"
+    }
     book.cells = [nbformat.v4.new_code_cell(before), *book.cells[: last + 1]]
     quiet = ["--IPKernelApp.log_level=40"]
     client = NotebookClient(
         book, timeout=600, kernel_name="python3", extra_arguments=quiet
     )
     client.execute()
+    for cell in shown:
+        if cell.id in stored:
+            cell.outputs = stored[cell.id]
     return book
 
 

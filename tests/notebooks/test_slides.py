@@ -183,6 +183,29 @@ def test_pictures_are_made_anew_in_the_shape_of_a_slide(slides, tmp_path):
     assert {size(picture) for picture in pictures} == {(1920, 1080)}
 
 
+def test_a_cell_keeps_its_stored_picture_where_it_says_so(slides):
+    """A notebook that is run draws the others anew."""
+    marks = {"slideshow": {"slide_type": "slide"}}
+    draw = "import matplotlib.pyplot as plt\nplt.plot([1, 2])"
+    old = nbformat.v4.new_output("stream", text="stored")
+    cells = [
+        nbformat.v4.new_code_cell(draw, metadata=marks | more, outputs=[old])
+        for more in ({}, {"slide_picture": "stored"})
+    ]
+    _, anew, kept = slides.run_for_slides(nbformat.v4.new_notebook(cells=cells)).cells
+    assert kept.outputs == [old]
+    assert old not in anew.outputs
+
+
+def test_a_slide_defines_the_names_that_the_next_ones_use(slides, tmp_path):
+    """Week 3 shows the cell that makes what "One value, three ways" is made of."""
+    week = slides.read_weeks()[2]
+    text = "\n".join(c.source for c in slides.deck_cells(week, tmp_path, True))
+    first = text.partition("## One value, three ways")[0]
+    for name in ("by_the_page", "P_tr, P_te", "zeta", "simulator", "target", "T"):
+        assert re.search(rf"^{name} = ", first, re.M), name
+
+
 def test_a_copy_of_reveal_goes_beside_the_decks(slides, tmp_path):
     copy = tmp_path / "package" / "dist"
     (copy / "theme" / "fonts").mkdir(parents=True)

@@ -527,6 +527,17 @@ def test_the_released_notebooks_are_those_that_the_script_makes(path):
     assert len(stubs) >= 2
 
 
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
+def test_a_student_reads_what_to_install_and_what_to_hand_in(path):
+    """In the released notebook itself, which may be all that a student has."""
+    text = read(make()["released"](path)).cells[0].source
+    assert f"keep the name of its file, `{path.name}`" in text
+    assert "The package must be installed: `pip install" in text
+    named = re.findall(r"`(notebooks[^`]*)`", text)
+    assert named
+    assert all((FOLDER.parents[1] / name).exists() for name in named)
+
+
 def test_nothing_else_is_released():
     released = {make()["released"](path) for path in SOURCES}
     assert released == set((FOLDER / "release").rglob("*.ipynb"))
