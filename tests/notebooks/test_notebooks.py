@@ -98,6 +98,9 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
         # the text of the slide, in place of the cell's own or above its picture
         assert is_slide or "slide" not in marks
         assert marks.pop("slide", "text").strip()
+        # a picture that is not drawn anew
+        assert is_slide or "slide_picture" not in marks
+        assert marks.pop("slide_picture", "stored") == "stored"
         assert marks in ({}, FOLDED)
     for cell in cells(stored, "code"):
         assert cell.execution_count is None

@@ -372,7 +372,7 @@ def test_advice_stands_once_and_a_wrong_behaviour_policy_has_a_warning():
             Problem(SMALL, oee.Transitions([0], [0], [3])), policies, estimators="oee"
         )
     )
-    assert text.count("interval, collect data on action ") == 1
+    assert text.count(", collect data on action ") == 1
     log = oee.sample_episodes(SMALL, oee.tasks.gridworld_policy(3, 0.4), 10, 20, seed=0)
     warnings = oee.evaluate(
         Problem(SMALL, log, behavior_policy=UNIFORM), UNIFORM
