@@ -11,7 +11,6 @@ from scipy.sparse import csgraph
 
 from oee_tabular import _checks
 from oee_tabular._sparse import align
-from oee_tabular.data import success_states
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, largest_reward, occupancy, with_rows
 from oee_tabular.mdp import FiniteMDP, Rows, check_policy, possible_sums
@@ -187,11 +186,9 @@ def possible_values(evidence: Evidence) -> tuple[float, float]:
     The rewards of the pairs that the policy can take, at their least and at their most
     in every step, are summed with their weights gamma^t. The ends are infinite where
     the simulator is known from samples, as its rewards are not certain then, and where
-    endless rewards have no discount. A probability of success is in [0, 1].
+    endless rewards have no discount.
     """
     model = evidence.model
-    if model.discount == 1.0 and success_states(model) is not None:
-        return 0.0, 1.0
     is_endless = evidence.horizon is None and model.discount == 1.0
     if model.sampling is not None or is_endless:
         return -np.inf, np.inf
