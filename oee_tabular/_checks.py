@@ -188,6 +188,15 @@ def _quiet(array: NDArray[Any]) -> NDArray[Any]:
     return quiet
 
 
+def in_all(n: int, things: str) -> str:
+    """Return how many things there are, where a sentence names the first of several.
+
+    >>> in_all(3, "such rows")
+    ' (3 such rows in all)'
+    """
+    return f" ({n} {things} in all)" if n > 1 else ""
+
+
 def refuse_text(value: object, name: str, rule: str, kind: str, hint: str = "") -> None:
     """Raise an ArgumentError for the first text in an array or in nested lists.
 
@@ -201,7 +210,7 @@ def refuse_text(value: object, name: str, rule: str, kind: str, hint: str = "") 
     texts = [at for at, item in np.ndenumerate(items) if isinstance(item, str | bytes)]
     if not texts:
         return
-    more = f" ({len(texts)} texts in all)" if len(texts) > 1 else ""
+    more = in_all(len(texts), "texts")
     try:
         np.array([items[at] for at in texts]).astype(kind)
         hint = f" (numbers written as text? .astype({kind}))"
@@ -321,7 +330,7 @@ def _require(
         return
     bad = np.argwhere(~fine)
     first = tuple(bad[0])  # empty for a single number
-    more = f" ({len(bad)} such {counted} in all)" if counted and len(bad) > 1 else ""
+    more = in_all(len(bad), f"such {counted}") if counted else ""
     raise ArgumentError(
         place(name, first) if first else name, f"must {rule.format(array[first])}{more}"
     )

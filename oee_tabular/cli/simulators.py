@@ -258,7 +258,7 @@ def _warn_of_misspelt(path: str, number: Any, ends: Any, states: list[Any]) -> N
     if not notes:
         return
     row, name, other = notes[0]
-    more = f" ({len(notes)} such states in all)" if len(notes) > 1 else ""
+    more = _checks.in_all(len(notes), "such states")
     _checks.warn(
         f"{path!r}: {describe_row(path, row)}: next_state {_checks.show(name)} resembles"
         f" the state {_checks.show(other)}, and no row begins in it: it is read as"

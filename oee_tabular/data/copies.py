@@ -68,7 +68,7 @@ def refuse_same_bytes(files: Sequence[LogFile]) -> None:
         if n_rows >= N_TOLD:
             short.append(words)
     if short:
-        more = f" ({len(short)} such files in all)" if len(short) > 1 else ""
+        more = _checks.in_all(len(short), "such files")
         _checks.warn(
             f"{short[0]}{more}: they are counted twice, as two recordings; if they are"
             " copies, leave one of them out",
@@ -378,9 +378,7 @@ class Overlaps:
         if not self.found:
             return
         one, other, n_rows = self.found[0]
-        more = ""
-        if len(self.found) > 1:
-            more = f" ({len(self.found)} such pairs of files in all)"
+        more = _checks.in_all(len(self.found), "such pairs of files")
         _checks.warn(
             f"{n_rows} rows stand in {one!r} and in {other!r}, in the same order, and"
             f" count twice{more}: if the files overlap, leave these rows out of one of"
@@ -448,7 +446,7 @@ class Reordered:
         if not found:
             return
         one, other, n_rows = found[0]
-        more = f" ({len(found)} such pairs of files in all)" if len(found) > 1 else ""
+        more = _checks.in_all(len(found), "such pairs of files")
         _checks.warn(
             f"{one!r} and {other!r} hold the same {n_rows} rows, in another order, and"
             f" count twice{more}: if one is a copy, leave it out",

@@ -153,7 +153,7 @@ def warn_of(notes: Sequence[str]) -> None:
         (joined, " or folder, so that they are unique"),
     ):
         if some:
-            more = f" ({len(some)} such places in all)" if len(some) > 1 else ""
+            more = _checks.in_all(len(some), "such places")
             _checks.warn(
                 f"{some[0]}{more}; write the file's name before ids that restart in"
                 f" each file{way}",

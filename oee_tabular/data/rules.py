@@ -141,9 +141,7 @@ class Fault(NamedTuple):
         ``has_count``: whether it says how many rows break the rule.
         """
         place = f"{source}: {self.place()}" if source else self.place()
-        others = ""
-        if has_count and len(self.rows) > 1:
-            others = f" ({len(self.rows)} such rows in all)"
+        others = _checks.in_all(len(self.rows), "such rows") if has_count else ""
         return ArgumentError(place, f"{self.problem()}{others}")
 
 

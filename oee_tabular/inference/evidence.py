@@ -184,20 +184,41 @@ def possible_values(evidence: Evidence) -> tuple[float, float]:
     """Return between which ends J lies, whatever the target's transitions are.
 
     The rewards of the pairs that the policy can take, at their least and at their most
-    in every step, are summed with their weights gamma^t. The ends are infinite where
-    the simulator is known from samples, as its rewards are not certain then, and where
-    endless rewards have no discount.
+    in every step, are summed with their weights gamma^t. Where every payment ends the
+    episode, there is one at most: a probability of success is in [0, 1]. The ends are
+    infinite where the simulator is known from samples, as its rewards are not certain
+    then, and where endless rewards have no discount.
     """
     model = evidence.model
-    is_endless = evidence.horizon is None and model.discount == 1.0
-    if model.sampling is not None or is_endless:
+    if model.sampling is not None:
         return -np.inf, np.inf
     taken = evidence.rows.spread((evidence.policy > 0).reshape(-1))
     if not taken.any():
         return -np.inf, np.inf
     rewards = evidence.transition_rewards[taken]
     lowest, highest = float(rewards.min()), float(rewards.max())
-    return possible_sums(lowest, highest, evidence.horizon, model.discount, ends=False)
+    once = (-np.inf, np.inf)
+    if _is_paid_once(evidence, taken):
+        once = (min(lowest, 0.0), max(highest, 0.0))
+    if evidence.horizon is None and model.discount == 1.0:
+        return once
+    least, most = possible_sums(
+        lowest, highest, evidence.horizon, model.discount, ends=False
+    )
+    return max(least, once[0]), min(most, once[1])
+
+
+def _is_paid_once(evidence: Evidence, taken: BoolArray) -> bool:
+    """Return whether every entry that pays leads to where nothing is paid any more.
+
+    Of the entries that the policy takes, those of such a state lead back to it and pay
+    nothing, in every model on the simulator's support.
+    """
+    state, _, following = (each[taken] for each in evidence.rows.transitions)
+    pays = evidence.transition_rewards[taken] != 0.0
+    goes_on = np.zeros(evidence.model.n_states, dtype=np.bool_)
+    goes_on[state[pays | (following != state)]] = True
+    return not goes_on[following[pays]].any()
 
 
 def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:

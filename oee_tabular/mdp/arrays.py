@@ -68,7 +68,7 @@ class Available(NamedTuple):
             )
         bad = np.argwhere(~self.mask & (sums != 0))
         if len(bad):
-            more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
+            more = _checks.in_all(len(bad), "such rows")
             raise ArgumentError(
                 _checks.place("transitions", tuple(bad[0])),
                 "must be zeros where the action cannot be taken;"
@@ -277,7 +277,7 @@ def check_available(value: object, states: object, actions: object) -> Available
     )
     lacking = np.flatnonzero(~mask.any(axis=1))
     if lacking.size:
-        more = f" ({lacking.size} such states in all)" if lacking.size > 1 else ""
+        more = _checks.in_all(lacking.size, "such states")
         raise ArgumentError(
             f"available[{lacking[0]}]",
             f"must have an action that can be taken; state {names.state(lacking[0])} has"

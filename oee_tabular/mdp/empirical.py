@@ -160,7 +160,7 @@ def _warn_of_misspelt(
         return
     name, other = pairs[0]
     row = int(np.flatnonzero(following == names.index(name))[0])
-    more = f" ({len(pairs)} such states in all)" if len(pairs) > 1 else ""
+    more = _checks.in_all(len(pairs), "such states")
     _checks.warn(
         f"log.next_state[{row}]{source_of_row(log, row)} {_checks.show(name)} resembles the state"
         f" {_checks.show(other)}, and no row begins in it: it is read as another state,"
@@ -193,7 +193,7 @@ def _check_available(
     bad = np.flatnonzero(~checked.mask[state, action])
     if bad.size:
         pair = state[bad[0]], action[bad[0]]
-        more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        more = _checks.in_all(bad.size, "such transitions")
         raise ArgumentError(
             f"log[{bad[0]}]{source_of(int(bad[0]))}",
             "must have an action that can be taken in its state; in state"

@@ -153,7 +153,7 @@ def require_available(array: Array, mdp: Sized, name: str) -> Array:
         first = tuple(bad[0])
         names = names_of(mdp)
         state, action = first[-2:]
-        more = f" ({len(bad)} such probabilities in all)" if len(bad) > 1 else ""
+        more = _checks.in_all(len(bad), "such probabilities")
         raise ArgumentError(
             _checks.place(name, first),
             f"must be 0, for action {names.action(action)} cannot be taken in state"
@@ -495,7 +495,7 @@ def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
             table[s] = _choice_row(choice, names.actions, mdp.n_actions, place)
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
-        more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
+        more = _checks.in_all(len(missing), "such states")
         raise ArgumentError(
             name,
             "must have every state that is not terminal; state"

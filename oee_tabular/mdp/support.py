@@ -119,7 +119,7 @@ def require_available_rows(
     bad = np.flatnonzero(~mdp.available.reshape(-1)[rows])
     if bad.size:
         state, action = divmod(int(rows[bad[0]]), mdp.n_actions)
-        more = f" ({bad.size} such transitions in all)" if bad.size > 1 else ""
+        more = _checks.in_all(bad.size, "such transitions")
         place = int(rows[bad[0]] if by_row else bad[0])
         raise ArgumentError(
             f"{name}[{place}]",
@@ -138,7 +138,7 @@ def require_same_available(target: FiniteMDP, simulator: FiniteMDP) -> None:
     if len(bad):
         state, action = bad[0]
         whose = "simulator" if target.available[state, action] else "target"
-        more = f" ({len(bad)} such pairs in all)" if len(bad) > 1 else ""
+        more = _checks.in_all(len(bad), "such pairs")
         raise ArgumentError(
             "target",
             "must have the simulator's available actions; in state"

@@ -371,7 +371,7 @@ def _moves_of(
 
     outside = np.flatnonzero(~stored)
     if outside.size:
-        more = f" ({outside.size} such rows in all)" if outside.size > 1 else ""
+        more = _checks.in_all(outside.size, "such rows")
         raise ValueError(
             f"row {outside[0]} of {source} must be a transition of the simulator, which"
             f" gives probability 0 to {move(int(outside[0]))}{more}"

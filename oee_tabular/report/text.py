@@ -306,13 +306,19 @@ def policy_value(answer: Answer, confidence: float) -> str:
     return f"{sentence}."
 
 
+def _list(names: Sequence[str]) -> str:
+    """Return names with commas, and an “and” before the last of several."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 def log_cannot_say(policies: Sequence[str], reason: str) -> str:
     """Say that the log cannot say what policies are worth, and why."""
     names = [f"“{name}”" for name in policies]
     if len(names) == 1:
         subject = f"the policy {names[0]} is"
     else:
-        subject = f"the policies {', '.join(names[:-1])} and {names[-1]} are"
+        subject = f"the policies {_list(names)} are"
     return f"The log cannot say what {subject} worth in the target: {reason}."
 
 
@@ -359,8 +365,7 @@ def no_best_policy(
     candidates: Sequence[str], n_policies: int, *, are_equal: bool
 ) -> str:
     """Say that the log cannot name a best policy, or that the candidates are equal."""
-    *first, last = (f"“{name}”" for name in candidates)
-    names = f"{', '.join(first)} and {last}" if first else last
+    names = _list([f"“{name}”" for name in candidates])
     others = n_policies - len(candidates)
     less = ""
     if others:
@@ -384,21 +389,37 @@ def reward_change(effects: Mapping[str, float]) -> str:
     return f" In the simulator they change the {whose} by {most}{largest:.2g}."
 
 
-def test_of_simulator(
-    z: float, rejected: int, tested: int, *, is_rejected: bool
+def verdict_on_simulator(
+    z: float,
+    rejected: int,
+    tested: int,
+    *,
+    is_rejected: bool,
+    left_out: Sequence[str] = (),
 ) -> str:
     """Say whether the log rejects the simulator: as a whole, then pair by pair.
 
     ``z`` is the score of all transitions together in standard deviations, ``rejected``
     the number of the ``tested`` pairs that reject the simulator by themselves, and
     ``is_rejected`` whether all together do. Tested are the recorded pairs for which the
-    simulator has more than one next state.
+    simulator has more than one next state. ``left_out`` are the policies whose interval
+    leaves out the simulator's value, which is said where no test rejects: an interval
+    adds up what many pairs say of one value, and sees what no single pair shows.
     """
     pairs = f"{tested:,} tested state-action pairs"
     if not is_rejected and not rejected:
         where = f"the {pairs}, neither together (z = {z:.1f}) nor one by one"
         if tested == 1:
             where = f"the one tested state-action pair (z = {z:.1f})"
+        if left_out:
+            names = _list([f"“{name}”" for name in left_out])
+            one = len(left_out) == 1
+            return (
+                "The transitions show no significant difference from the simulator in"
+                f" {where}; yet in value there is one:"
+                f" the {'interval' if one else 'intervals'} of {names}"
+                f" {'leaves' if one else 'leave'} out the simulator's."
+            )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
             " short log cannot show a small one."
@@ -703,8 +724,7 @@ def provenance(
         parts.append(tried(trials))
     if not parts:
         return ""
-    *first, last = parts
-    listed = f"{', '.join(first)} and {last}" if first else last
+    listed = _list(parts)
     return f"Made from {listed}."
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import NormalDist
@@ -18,7 +18,12 @@ from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
 from oee_tabular.estimators.off_environment import estimate_with_rows
-from oee_tabular.exact import back_up_transitions, occupancy, state_values
+from oee_tabular.exact import (
+    back_up_transitions,
+    occupancy,
+    policy_value,
+    state_values,
+)
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,
@@ -292,7 +297,8 @@ def find_intervals(
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
     lacking = _reason_without_intervals(problem, evidence) or missing
-    distance = (_tested(problem, evidence)[0],)
+    test = _tested(problem, evidence)
+    distance = (test.sentence(),)
     del evidence  # as much memory as the simulator
     if lacking:
         if guaranteed:
@@ -328,7 +334,14 @@ def find_intervals(
     joined = _join_trials(problem, policies, level, known, watch)
     for name, both in joined.items():
         intervals[name][WITH_TRIALS] = both.interval
-    return Uncertainty(intervals, distance, trials=joined)
+    left_out = []
+    if not test.rejects:
+        left_out = [
+            name
+            for name, policy in policies.items()
+            if _leaves_out_simulator(problem, policy, intervals[name][LIKELIHOOD])
+        ]
+    return Uncertainty(intervals, (test.sentence(left_out),), trials=joined)
 
 
 def _join_trials(
@@ -379,27 +392,63 @@ def _reason_without_intervals(problem: Problem, evidence: Evidence) -> str:
     return ""
 
 
-def _tested(problem: Problem, evidence: Evidence) -> tuple[str, BoolArray]:
+@dataclass(frozen=True, eq=False)
+class _Test:
+    """Hold what the log says against the simulator.
+
+    ``n_tested`` pairs have several next states and records, ``z`` is the score of all
+    transitions together, ``is_rejecting`` (S*A,) are the pairs that reject the
+    simulator by themselves.
+    """
+
+    n_tested: int
+    z: float
+    is_rejecting: BoolArray
+
+    @property
+    def is_rejected(self) -> bool:
+        """Return whether all transitions together reject the simulator."""
+        return abs(self.z) >= MIN_Z
+
+    @property
+    def rejects(self) -> bool:
+        """Return whether the simulator is rejected in any way, or nothing is tested."""
+        is_any = self.is_rejected or bool(self.is_rejecting.any())
+        return is_any or self.n_tested == 0
+
+    def sentence(self, left_out: Sequence[str] = ()) -> str:
+        """Say it; ``left_out`` as in ``text.verdict_on_simulator``."""
+        if self.n_tested == 0:
+            return text.NOT_TESTED
+        return text.verdict_on_simulator(
+            self.z,
+            int(self.is_rejecting.sum()),
+            self.n_tested,
+            is_rejected=self.is_rejected,
+            left_out=left_out,
+        )
+
+
+def _tested(problem: Problem, evidence: Evidence) -> _Test:
     """Return ``_test_simulator``, which is the same for all policies of a problem."""
     if _test_simulator not in problem.cache:
         problem.cache[_test_simulator] = _test_simulator(evidence)
-    found: tuple[str, BoolArray] = problem.cache[_test_simulator]
+    found: _Test = problem.cache[_test_simulator]
     return found
 
 
-def _test_simulator(evidence: Evidence) -> tuple[str, BoolArray]:
+def _test_simulator(evidence: Evidence) -> _Test:
     """Test the simulator against the log, as a whole and pair by pair.
 
     The pairs' tests are KL balls that hold at any number of transitions, and share 5%.
     The test of all transitions together is the score test of the tilt along log P: sum
-    (n - n_sa P) log P over its standard deviation under P. The sentence and the pairs
-    (S*A,) that reject the simulator by themselves are returned.
+    (n - n_sa P) log P over its standard deviation under P.
     """
     tested = (evidence.n > 0) & evidence.is_stochastic
     is_rejecting = np.zeros(len(tested), dtype=np.bool_)
     n_tested = int(tested.sum())
     if n_tested == 0:
-        return text.NOT_TESTED, is_rejecting
+        return _Test(0, 0.0, is_rejecting)
     rows = evidence.rows.select(tested)
     n = evidence.n[tested]
     phat = evidence.phat[rows.entries]
@@ -410,10 +459,16 @@ def _test_simulator(evidence: Evidence) -> tuple[str, BoolArray]:
     score = float(np.sum(rows.spread(n) * (phat - rows.weights) * phi))
     spread = float(np.sum(rows.spread(n) * rows.weights * phi**2))
     z = score / np.sqrt(spread) if spread > 0 else 0.0
-    sentence = text.test_of_simulator(
-        z, int(is_rejecting.sum()), n_tested, is_rejected=abs(z) >= MIN_Z
-    )
-    return sentence, is_rejecting
+    return _Test(n_tested, z, is_rejecting)
+
+
+def _leaves_out_simulator(problem: Problem, policy: Array, found: Interval) -> bool:
+    """Return whether an interval leaves out the policy's value in the simulator."""
+    if found.status != "ok":
+        return False
+    value = policy_value(problem.model, policy, horizon=problem.horizon)
+    rounding = ERROR_TOLERANCE * max(abs(value), 1e-300)
+    return not found.lower - rounding <= value <= found.upper + rounding
 
 
 def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
@@ -429,7 +484,7 @@ def _explain_distance(problem: Problem, policy: Array, scale: float) -> str:
     if problem.horizon is not None or problem.simulator.discount == 1.0:
         return ""
     evidence = gather(problem, policy)
-    _, is_rejecting = _tested(problem, evidence)
+    is_rejecting = _tested(problem, evidence).is_rejecting
     if not is_rejecting.any():
         return ""
     _, corrected = estimate_with_rows(problem, policy)

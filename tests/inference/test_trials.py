@@ -442,3 +442,18 @@ def test_what_trials_are_worth_on_a_family():
     assert worth[12, 3] > 12
     assert (table["width"] < 1.6).all()
     assert sum(row["covers"] for row in rows) >= 9
+
+
+@pytest.mark.parametrize("options", [{}, {"quick": True}])
+def test_the_ends_of_a_probability_are_probabilities(options):
+    """Where rewards of 1 in each of eight steps would allow for a value of 8."""
+    target = success_simulator(oee.tasks.gridworld(4, 0.02).with_initial(0), 15)
+    simulator = success_simulator(oee.tasks.gridworld(4, 0.3).with_initial(0), 15)
+    policy = oee.tasks.gridworld_expert(4)
+    log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 150, seed=3)
+    problem = oee.Problem(simulator, log, horizon=8)
+    report = oee.evaluate(problem, {"mine": policy}, seed=0, **options)
+    row = next(each for each in report.records() if each["estimator"] == "oee")
+    assert 0.0 <= row["lower"] <= row["value"] <= row["upper"] <= 1.0
+    found = report.uncertainty.likelihood["mine"]
+    assert found.diagnostics["highest_possible"] == 1.0

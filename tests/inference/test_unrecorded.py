@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import random_mdp, random_policy, rngs
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import stats
 
@@ -37,7 +38,8 @@ def fork(n_up, n_down, n_later=0, stay=0.5):
 @pytest.mark.parametrize(("n_up", "n_down"), [(12, 8), (3, 9), (30, 2)])
 def test_an_interval_by_hand(factor, n_up, n_down):
     """V(0) = .9 p + .81 (1 - p) q, p and q as estimated; the factor bounds q and 1 - q:
-    the standard error of p alone, and how far V moves with q.
+    the standard error of p alone, and how far V moves with q. An episode is paid once,
+    so no end is beyond 0 and 1.
     """
     problem, policy = fork(n_up, n_down)
     estimate = oee.estimators.OffEnvironment()(problem, policy)
@@ -55,10 +57,10 @@ def test_an_interval_by_hand(factor, n_up, n_down):
     # not beyond what both ends of the factor allow
     lower = max(lower, min(found.sampling[0], found.worst_case[0]))
     upper = min(upper, max(found.sampling[1], found.worst_case[1]))
-    assert_allclose([found.lower, found.upper], [lower, upper], rtol=1e-9)
-    assert_allclose(
-        found.sampling, [estimate.value - z * se, estimate.value + z * se], rtol=1e-9
-    )
+    quoted = np.clip([lower, upper], 0.0, 1.0)
+    assert_allclose([found.lower, found.upper], quoted, rtol=1e-9)
+    sampling = np.clip([estimate.value - z * se, estimate.value + z * se], 0.0, 1.0)
+    assert_allclose(found.sampling, sampling, rtol=1e-9)
     assert found.diagnostics["unrecorded_factor"] == factor
 
 
@@ -213,3 +215,31 @@ def test_ends_before_the_cut_are_kept():
     assert_allclose(facts["uncut_sampling_upper"], end, rtol=1e-12)
     assert facts["uncut_upper"] > 1.0
     assert value.value in found
+
+
+@settings(max_examples=40)
+@given(rngs, st.sampled_from([(None, 0.8), (4, 0.8), (4, 1.0)]))
+def test_no_end_is_beyond_the_one_payment_of_an_episode(rng, steps):
+    """States 0 to 3 lead anywhere; what pays (losses as well) leads to the end, 4. The
+    value of another model on the same support is within what is called possible.
+    """
+    horizon, discount = steps
+    p = rng.dirichlet(np.ones(5), size=(5, 2)) * 0.9
+    p[:, :, 4] += 0.1
+    p[4] = [0, 0, 0, 0, 1]
+    pay = np.zeros((5, 2, 5))
+    pay[:4, :, 4] = rng.uniform(-2, 1, size=(4, 2))
+    pay[:4, :, 4] *= rng.random((4, 2)) < 0.7
+    simulator = oee.FiniteMDP(p, pay, 0, discount)
+    q = np.where(p > 0, rng.random(p.shape) ** 3, 0.0)
+    other = simulator.with_transitions(q / q.sum(axis=2, keepdims=True))
+    policy = random_policy(rng, simulator)
+    log = oee.sample_transitions(other, np.full((5, 2), 0.1), 25, seed=rng)
+    found = oee.interval(oee.Problem(simulator, log, horizon=horizon), policy)
+    low, high = (found.diagnostics[f"{end}_possible"] for end in ("lowest", "highest"))
+    taken = pay[policy > 0]
+    assert low >= min(0.0, taken.min())
+    assert high <= max(0.0, taken.max())
+    assert low <= found.lower <= found.upper <= high
+    value = oee.exact.policy_value(other, policy, horizon=horizon)
+    assert low - 1e-12 <= value <= high + 1e-12

@@ -137,3 +137,41 @@ def test_no_two_policies_that_do_the_same_differ():
     assert "worth the same" in report.headline
     for one, two in itertools.combinations(report.answers, 2):
         assert one.value == pytest.approx(two.value, rel=1e-6)
+
+
+def walk(n, forward):
+    """States in a row, one step forward or back; leaving the last one pays 1."""
+    rows = np.zeros((n + 1, 1, n + 1))
+    rows[np.arange(n), 0, np.arange(1, n + 1)] = forward
+    rows[np.arange(n), 0, np.maximum(np.arange(n) - 1, 0)] += 1 - forward
+    rows[n, 0, n] = 1.0
+    pay = np.zeros_like(rows)
+    pay[n - 1, 0, n] = 1.0
+    return oee.FiniteMDP(rows, pay, n // 2, 0.98)
+
+
+def test_a_difference_in_value_is_told_where_no_transition_shows_it():
+    """Outcomes that the simulator calls equally likely: the test of all of them together
+    sees nothing, and one state alone shows little.
+    """
+    told = []
+    for seed in range(24):
+        rng = np.random.default_rng([56, seed])
+        n = int(rng.integers(8, 25))
+        simulator = walk(n, 0.5)
+        target = walk(n, rng.choice([0.5, 0.54, 0.58]))
+        share = np.full((n + 1, 1), 1 / (n + 1))
+        log = oee.sample_transitions(target, share, 600, seed=rng)
+        policies = {"on": np.ones((n + 1, 1))}
+        report = oee.evaluate(oee.Problem(simulator, log), policies, seed=0)
+        sentence = report.uncertainty.distance[0]
+        if "no significant difference" not in sentence:
+            continue
+        found = report.uncertainty.likelihood["on"]
+        value = oee.exact.policy_value(simulator, policies["on"])
+        is_outside = not inside(value, found.lower, found.upper)
+        assert ("the interval of “on” leaves out the simulator's" in sentence) == (
+            is_outside
+        )
+        told.append(is_outside)
+    assert 3 <= sum(told) < len(told) - 3

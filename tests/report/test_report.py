@@ -505,7 +505,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.test_of_simulator(-29.04, 1, 739, is_rejected=True),
+            text.verdict_on_simulator(-29.04, 1, 739, is_rejected=True),
             (
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are less frequent in the target (z = -29.0 standard"
@@ -514,7 +514,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.test_of_simulator(24.51, 0, 1200, is_rejected=True),
+            text.verdict_on_simulator(24.51, 0, 1200, is_rejected=True),
             (
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are even more frequent in the target (z = 24.5 standard"
@@ -524,15 +524,15 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.test_of_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
+            text.verdict_on_simulator(24.51, 6, 6, is_rejected=True).split("). ")[1],
             "Each of the 6 tested state-action pairs differs surely by itself.",
         ),
         (
-            text.test_of_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],
+            text.verdict_on_simulator(24.51, 1, 1, is_rejected=True).split("). ")[1],
             "All are of one state-action pair.",
         ),
         (
-            text.test_of_simulator(0.52, 3, 40, is_rejected=False),
+            text.verdict_on_simulator(0.52, 3, 40, is_rejected=False),
             (
                 "The target differs from the simulator. The recorded transitions show"
                 " it: 3 of the 40 tested state-action pairs do so by themselves. In all"
@@ -541,14 +541,14 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.test_of_simulator(0.52, 1, 40, is_rejected=False).split(". ")[1],
+            text.verdict_on_simulator(0.52, 1, 40, is_rejected=False).split(". ")[1],
             (
                 "The recorded transitions show it: 1 of the 40 tested state-action"
                 " pairs does so by itself"
             ),
         ),
         (
-            text.test_of_simulator(-1.2, 0, 40, is_rejected=False),
+            text.verdict_on_simulator(-1.2, 0, 40, is_rejected=False),
             (
                 "The data show no significant difference from the simulator in the 40"
                 " tested state-action pairs, neither together (z = -1.2) nor one by"
@@ -556,11 +556,21 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.test_of_simulator(0.0, 0, 1, is_rejected=False),
+            text.verdict_on_simulator(0.0, 0, 1, is_rejected=False),
             (
                 "The data show no significant difference from the simulator in the one"
                 " tested state-action pair (z = 0.0). A short log cannot show a small"
                 " one."
+            ),
+        ),
+        (
+            text.verdict_on_simulator(
+                0.0, 0, 1, is_rejected=False, left_out=["mine", "b"]
+            ),
+            (
+                "The transitions show no significant difference from the simulator in"
+                " the one tested state-action pair (z = 0.0); yet in value there is"
+                " one: the intervals of “mine” and “b” leave out the simulator's."
             ),
         ),
         (

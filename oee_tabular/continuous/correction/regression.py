@@ -39,42 +39,71 @@ EQUAL_SHARE = 1e-10
 
 
 @njit(cache=True)
-def _predict(
-    x,
-    commands,
-    d,
-    actions,
-    order,
-    kept,
-    limits,
-    first,
-    second,
-    frequencies,
-    phases,
-    w,
-    ends,
-):
-    """Compute values g_k = sum_j w[a, j, k] phi_j, (n, k), kept within ``ends`` (2, k).
+def _standardise(z, rows, a, inputs, kept, limits):
+    """Write the inputs of some rows of action ``a`` into z[1:], standardised.
 
-        phi_j = z[first_j] z[second_j],  j < q
-        phi_j = cos(sum_i z_i frequency_ij + phase_j),  j >= q
-
-    over z = (1, inputs kept within what was logged and standardised). A row is summed
-    in the order of j, whatever rows stand beside it, so its bits depend on nothing
-    else; the inner loops run over rows of one action, side by side in the processor's
-    registers. Inputs are x (n, .), the command of each action, d (n, .); ``order``
-    sorts rows by action, ``kept`` numbers the inputs that are used, ``limits`` (4, m)
-    are the least and the most of each, its centre and 1 over its scale.
+    ``inputs`` are x (n, .), the command of each action, and d (n, .); ``kept`` numbers
+    those that are used among all, ``limits`` (4, m) are the least and the most of each,
+    its centre and 1 over its scale.
     """
-    n = len(x)
-    m = len(kept)
-    q = len(first)
+    x, commands, d = inputs
     n_x = x.shape[1]
     n_c = commands.shape[1]
+    for i in range(len(kept)):
+        j = kept[i]
+        for r in range(len(rows)):
+            if j < n_x:
+                value = x[rows[r], j]
+            elif j < n_x + n_c:
+                value = commands[a, j - n_x]
+            else:
+                value = d[rows[r], j - n_x - n_c]
+            inside = min(max(value, limits[0, i]), limits[1, i])
+            z[i + 1, r] = (inside - limits[2, i]) * limits[3, i]
+
+
+@njit(cache=True)
+def _compute_function(phi, z, j, products, waves):
+    """Write the function ``j`` of each row of inputs ``z`` (1 + m, rows) into ``phi``.
+
+    phi_j = z[first_j] z[second_j],  j < q
+    phi_j = cos(sum_i z_i frequency_ij + phase_j),  j >= q
+    """
+    first, second = products
+    frequencies, phases = waves
+    q = len(first)
+    size = len(phi)
+    if j < q:
+        left = z[first[j]]
+        right = z[second[j]]
+        for r in range(size):
+            phi[r] = left[r] * right[r]
+        return
+    phi[:] = phases[j - q]
+    for i in range(len(z) - 1):
+        c = frequencies[i, j - q]
+        left = z[i + 1]
+        for r in range(size):
+            phi[r] += c * left[r]
+    for r in range(size):
+        phi[r] = math.cos(phi[r])
+
+
+@njit(cache=True)
+def _predict(inputs, actions, order, kept, limits, products, waves, w, ends):
+    """Compute values g_k = sum_j w[a, j, k] phi_j, (n, k), kept within ``ends`` (2, k).
+
+    The functions phi_j are ``_compute_function``'s over z = (1, inputs kept within what
+    was logged and standardised), as ``_standardise`` makes them. A row is summed in the
+    order of j, whatever rows stand beside it, so its bits depend on nothing else; the
+    inner loops run over rows of one action, side by side in the processor's registers.
+    ``order`` sorts rows by action.
+    """
+    n = len(actions)
     k = w.shape[2]
     found = np.zeros((n, k))
-    z = np.ones((m + 1, ROWS))
-    phi = np.empty(ROWS)
+    z = np.ones((len(kept) + 1, ROWS))
+    functions = np.empty(ROWS)
     total = np.empty((k, ROWS))
     begin = 0
     while begin < n:
@@ -82,38 +111,14 @@ def _predict(
         size = 1
         while size < ROWS and begin + size < n and actions[order[begin + size]] == a:
             size += 1
-        for i in range(m):
-            j = kept[i]
-            for r in range(size):
-                row = order[begin + r]
-                value = (
-                    x[row, j]
-                    if j < n_x
-                    else (
-                        commands[a, j - n_x] if j < n_x + n_c else d[row, j - n_x - n_c]
-                    )
-                )
-                z[i + 1, r] = (
-                    min(max(value, limits[0, i]), limits[1, i]) - limits[2, i]
-                ) * limits[3, i]
+        rows = order[begin : begin + size]
+        _standardise(z, rows, a, inputs, kept, limits)
+        phi = functions[:size]
         total[:] = 0.0
         for j in range(w.shape[1]):
             if not w[a, j].any():
                 continue
-            if j < q:
-                left = z[first[j]]
-                right = z[second[j]]
-                for r in range(size):
-                    phi[r] = left[r] * right[r]
-            else:
-                phi[:size] = phases[j - q]
-                for i in range(m):
-                    c = frequencies[i, j - q]
-                    left = z[i + 1]
-                    for r in range(size):
-                        phi[r] += c * left[r]
-                for r in range(size):
-                    phi[r] = math.cos(phi[r])
+            _compute_function(phi, z, j, products, waves)
             for t in range(k):
                 c = w[a, j, t]
                 part = total[t]
@@ -122,9 +127,7 @@ def _predict(
                         part[r] += c * phi[r]
         for r in range(size):
             for t in range(k):
-                found[order[begin + r], t] = min(
-                    max(total[t, r], ends[0, t]), ends[1, t]
-                )
+                found[rows[r], t] = min(max(total[t, r], ends[0, t]), ends[1, t])
         begin += size
     return found
 
@@ -258,16 +261,18 @@ class Functions:
                     found[at[rows]] = phi[rows][:, : w.shape[1]] @ w[a]
             return np.clip(found, *ends)
         q = min(w.shape[1], len(self._first))
-        inputs = (self._task.smooth(states), displacement)
+        given = (self._task.smooth(states), displacement)
         # so that one kernel takes all
-        x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)
+        x, d = (np.require(each, requirements=["C", "W"]) for each in given)
         a = np.require(actions, np.int64, ["C", "W"])
         order = np.argsort(actions.astype(np.int16), kind="stable")
-        rows = (x, self._commands, d, a, order)
-        functions = (self._first[:q], self._second[:q])
-        waves = self._frequencies, self._phases
+        inputs = (x, self._commands, d)
+        products = (self._first[:q], self._second[:q])
+        waves = (self._frequencies, self._phases)
         return np.asarray(
-            _predict(*rows, self._kept, self._limits, *functions, *waves, w, ends)
+            _predict(
+                inputs, a, order, self._kept, self._limits, products, waves, w, ends
+            )
         )
 
 
