@@ -68,11 +68,14 @@ def error_or_none(
     """Return a delta-method error, or None where 0 would be wrong.
 
     An error of 0 is wrong where the next state of some row matters: what was recorded
-    did not vary. ``gradient`` is the value's, on the entries of the simulator's rows,
+    did not vary. Where no next state matters, whatever error is found is rounding, and
+    0 is right. ``gradient`` is the value's, on the entries of the simulator's rows,
     which begin at ``indptr``.
     """
     reach = reduce_rows(np.maximum, gradient, indptr)
     reach -= reduce_rows(np.minimum, gradient, indptr)
     possible = float(reach.max())
     matters = possible > ROUNDING * float(np.abs(gradient).max())
-    return None if matters and error <= ROUNDING * possible else error
+    if not matters:
+        return 0.0
+    return None if error <= ROUNDING * possible else error

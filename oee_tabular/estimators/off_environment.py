@@ -465,13 +465,17 @@ def _add_errors(
     )
     if not np.isfinite(known).all():
         return exact  # rewards near the largest float
+    error = float(np.hypot(step.standard_error, step.unrecorded))
+    certain = error_or_none(error, gradient, zeta.values.indptr)
+    # the value is the same in all models: what differs is rounding
+    is_fixed = certain == 0.0
     shared = 1.0
-    if step.standard_error > 0:
+    if step.standard_error > 0 and not is_fixed:
         shared = min(se_fit / step.standard_error, 1.0)
     # the standard error of the difference of the two values
     s = float(step.standard_error * np.sqrt(1.0 - shared**2))
     move = Move(0.0, 0.0, 0.0)
-    if adjust is not None and ml_value is not None:
+    if adjust is not None and ml_value is not None and not is_fixed:
         move = adjust.move(
             one_step=step.change,
             likelihood=ml_value - exact.value,
@@ -479,7 +483,6 @@ def _add_errors(
             se_fit=se_fit,
         )
     value = exact.value + move.amount
-    error = float(np.hypot(step.standard_error, step.unrecorded))
     diagnostics = {
         "standard_error_of": "log",
         "standard_error_if_centre_fits": se_fit,
@@ -496,10 +499,9 @@ def _add_errors(
         diagnostics["maximum_likelihood_value"] = ml_value
         if abs(value - ml_value) > CONTRADICTION * s > 0.0:
             warnings = findings.conflict_with_log(ml_value, abs(value - ml_value) / s)
-    certain = error_or_none(error, gradient, zeta.values.indptr)
     interval = None
     if certain is not None and np.isfinite(error):
-        interval = (value - NORMAL * error, value + NORMAL * error)
+        interval = (value - NORMAL * certain, value + NORMAL * certain)
     return replace(
         exact,
         value=value,

@@ -593,14 +593,20 @@ def contradiction(
     policy: str,
     trials: tuple[float, float],
     log: tuple[float, float],
-    p_value: float,
+    p_value: float | None,
     level: float,
 ) -> str:
-    """Say that the trials of a policy contradict the log."""
-    shown = "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
+    """Say that the trials of a policy contradict the log.
+
+    Without a ``p_value`` it is their intervals of confidence ``level`` that are apart.
+    """
+    shown = f"their {100 * level:.4g}% intervals are apart"
+    if p_value is not None:
+        shown = "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
+        shown += f", below {level:g}"
     return (
-        f"The trials of “{policy}” and the log contradict each other ({shown}, below"
-        f" {level:g}): the trials say {format_interval(*trials)}, the log says"
+        f"The trials of “{policy}” and the log contradict each other ({shown}):"
+        f" the trials say {format_interval(*trials)}, the log says"
         f" {format_within(log, trials)}. One of them may be of another target, of other"
         " first states or of another policy. Find out which one before either is used."
     )

@@ -40,6 +40,7 @@ from oee_tabular.inference.trials import (
     CONTRADICTION_LEVEL,
     JoinedTrials,
     find_trials,
+    read_outcomes,
 )
 from oee_tabular.report import text
 from oee_tabular.shrinkage import transition_ratio
@@ -667,7 +668,11 @@ def add_comparison(
         sentences.append(_explain_distance(problem, policies[name], scale))
         about[name] = " ".join(filter(None, sentences))
     found = replace(found, policies=about, assumptions=assumptions, default=default)
-    if caveat := _write_contradictions(found.trials, scale):
+    caveats = [
+        _write_contradictions(found.trials, scale),
+        _write_apart(problem, policies, front, found.trials, level, scale),
+    ]
+    if caveat := " ".join(filter(None, caveats)):
         found = replace(found, caveat=" ".join(filter(None, (found.caveat, caveat))))
     has_ranking = len(front) > 1 and any(
         math.isfinite(estimate.value) for estimate in front.values()
@@ -792,6 +797,37 @@ def _write_contradictions(trials: Mapping[str, JoinedTrials], scale: float) -> s
         for name, both in trials.items()
         if both.is_contradicted
     )
+
+
+def _write_apart(
+    problem: Problem,
+    policies: Mapping[str, Array],
+    front: Mapping[str, Estimate],
+    joined: Mapping[str, JoinedTrials],
+    level: float,
+    scale: float,
+) -> str:
+    """Say of which policies the trials' interval and the log's have nothing in common.
+
+    It is asked where log and trials are not joined; what is joined has a test.
+    """
+    sentences = []
+    for name, policy in policies.items():
+        trials = find_trials(problem, policy, name)
+        of_log = front[name].interval
+        if trials is None or name in joined or of_log is None:
+            continue
+        of_trials = read_outcomes(problem, policy, trials).ends(level)
+        if of_trials[1] < of_log[0] or of_log[1] < of_trials[0]:
+            words = text.contradiction(
+                name,
+                (scale * of_trials[0], scale * of_trials[1]),
+                (scale * of_log[0], scale * of_log[1]),
+                None,
+                level,
+            )
+            sentences.append(words)
+    return " ".join(sentences)
 
 
 def _describe(intervals: Mapping[str, Interval], scale: float) -> str:

@@ -9,6 +9,7 @@ import pytest
 from helpers import random_mdp, random_policy
 
 import oee_tabular as oee
+from oee_tabular.data import success_simulator
 
 N_REPORTS = 240
 N_PARTS = 6
@@ -175,3 +176,52 @@ def test_a_difference_in_value_is_told_where_no_transition_shows_it():
         )
         told.append(is_outside)
     assert 3 <= sum(told) < len(told) - 3
+
+
+@pytest.mark.parametrize(
+    ("successes", "is_apart"), [(9, True), (0, True), (11, True), (12, False)]
+)
+def test_trials_that_are_not_joined_may_contradict_the_log(successes, is_apart):
+    """Without a horizon every walk arrives for certain, and trials that failed say that
+    the target can do something else.
+    """
+    simulator = success_simulator(oee.tasks.gridworld(4, 0.3), 15)
+    target = success_simulator(oee.tasks.gridworld(4, 0.1), 15)
+    policy = oee.tasks.gridworld_expert(4)
+    log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 300, seed=4)
+    trials = oee.Trials.from_successes(successes, 12)
+    report = oee.evaluate(
+        oee.Problem(simulator, log, trials=trials), {"mine": policy}, seed=0
+    )
+    words = "contradict each other (their 95% intervals are apart)"
+    assert (words in report.headline) == is_apart
+    assert "worth about 1.0000 (95% interval: 1.0000 to 1.0000)" in report.headline
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_value_that_is_the_same_in_all_models_is_known(seed):
+    """The same reward everywhere, or one of 1 at the only end: what is left is rounding."""
+    rng = np.random.default_rng([57, seed])
+    simulator = random_mdp(rng)
+    shape = simulator.n_states, simulator.n_actions
+    if seed % 2:
+        rewards = np.full(shape, rng.normal())
+        simulator = oee.FiniteMDP(
+            simulator.transitions, rewards, simulator.initial, 0.9
+        )
+    else:
+        n, k = shape
+        rows = np.zeros((n + 1, k, n + 1))
+        rows[:n, :, :n] = 0.9 * simulator.transitions.toarray().reshape(n, k, n)
+        rows[:n, :, n] = 0.1
+        rows[n, :, n] = 1.0
+        pay = np.zeros_like(rows)
+        pay[:n, :, n] = 1.0
+        simulator = oee.FiniteMDP(rows, pay, 0, 1.0)
+    policy = random_policy(rng, simulator)
+    share = np.ones((simulator.n_states, simulator.n_actions))
+    log = oee.sample_transitions(simulator, share / share.sum(), 60, seed=rng)
+    estimate = oee.estimators.OffEnvironment()(oee.Problem(simulator, log), policy)
+    assert estimate.standard_error == 0.0
+    assert estimate.interval == (estimate.value, estimate.value)
+    assert "against" not in {finding.kind for finding in estimate.findings}
