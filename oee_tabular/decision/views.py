@@ -119,8 +119,9 @@ def write_notes(found: Improvement) -> list[str]:
         )
     if any(each.optimism > 0.0 for each in found.candidates):
         notes.append(
-            "a policy that was made from this log looks too good on it: its lower end is"
-            " lowered by what halves of the log say too much of the policies they make"
+            "a policy that was made from this log looks better on it than it is: by how"
+            " much was measured on policies made from one half of the log and judged by"
+            " the other, and its lower end is lowered by that"
         )
     if found.split is not None:
         notes.append(
@@ -140,10 +141,11 @@ def _explain_names(found: Improvement) -> list[str]:
         )
     kept = [least for least in RECORDED if recorded_name(least) in names]
     if kept:
-        times = f"{kept[-1]} time{'s' if kept[-1] > 1 else ''}"
+        labels = ", ".join(f"{least}+" for least in kept)
         told.append(
-            f"recorded {kept[-1]}+: the best there that departs from the running policy"
-            f" only in pairs recorded at least {times}"
+            f"recorded {labels}: the best there that departs from the running policy"
+            " only in state-action pairs recorded at least so many times (without such"
+            " pairs it is the running policy, which gains 0)"
         )
     if SIMULATOR in names:
         told.append(f"{SIMULATOR}: the best policy in the simulator as it is")

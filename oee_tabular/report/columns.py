@@ -103,7 +103,7 @@ def estimator_columns(content: Content, names: Iterable[str]) -> list[Column]:
             "How far rows of corrected probabilities are from summing to 1.",
         ),
         NOTE: Column(NOTE, write_citations),
-        BASIS: Column(BASIS, write_basis, is_text=True),
+        BASIS: Column(BASIS, basis_writer(content), is_text=True),
     }
     return [columns[name] for name in names if content.truth or name != ERROR]
 
@@ -160,6 +160,28 @@ def value_columns(content: Content) -> dict[str, Column]:
 
     title = f"{content.confidence:.0%} interval"
     return {VALUE: Column(VALUE, write), INTERVAL: Column(title, write_ends)}
+
+
+def basis_writer(content: Content) -> Callable[[Row], str]:
+    """Return what writes of a row what its value rests on.
+
+    Where the corrected simulator cannot be relied on, the simulator's own value stands
+    without a warning, and must not look like the answer.
+    """
+    doubted = {
+        row["policy"]
+        for row in content.records
+        if row["status"] != "ok" and row["estimator"].startswith("oee")
+    }
+
+    def write(row: Row) -> str:
+        """Write it."""
+        basis = write_basis(row)
+        if basis == text.OF_SIMULATOR and row["policy"] in doubted:
+            return text.NOT_OF_TARGET
+        return basis
+
+    return write
 
 
 def write_basis(row: Row) -> str:

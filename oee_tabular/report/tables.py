@@ -278,8 +278,10 @@ def provenance(content: Content) -> str:
         simulator += f" with action noise {facts['action_noise']:g}"
     log = facts.get("log_name")
     if content.sizes is None:  # a continuous task
-        simulator = simulator or facts.get("simulator")
-        log = log or facts.get("log")
+        whole = str(facts.get("simulator") or "")
+        simulator = simulator or whole.removesuffix(", without cells")
+        # of what a log in memory says of itself, its size
+        log = log or str(facts.get("log") or "").partition("(")[2].partition(" of ")[0]
     names = [
         name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
         for name in (log, simulator)

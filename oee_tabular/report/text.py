@@ -82,9 +82,12 @@ CONTINUOUS_ROWS = tuple(
     for fitted in ("", "parameters, ")
     for actions in ("", ", last action", *(f", last {k} actions" for k in range(1, 10)))
 )
+OF_SIMULATOR = "the simulator alone"
+# the same, where the log cannot say how far the target is from it
+NOT_OF_TARGET = "the simulator alone: not the target"
 # what the rows of a usual report rest on
 DEFAULT_ROWS: Mapping[str, str] = {
-    "simulator": "the simulator alone",
+    "simulator": OF_SIMULATOR,
     "oee": "the simulator, corrected by the log",
     "oee-tied": "the same, with shared ratios",
     "oee-features": "the same, along the features",
@@ -95,7 +98,7 @@ DEFAULT_ROWS: Mapping[str, str] = {
     "oee+trials": "simulator, log and trials",
     **dict.fromkeys(CONTINUOUS_ROWS, "the simulator, corrected by the log"),
     "linear model of the log": "the log alone",
-    "simulator (continuous)": "the simulator alone",
+    "simulator (continuous)": OF_SIMULATOR,
 }
 NOT_USABLE = "do not rely on this value (--verbose says why)"
 NO_VALUE = (
@@ -414,11 +417,15 @@ def verdict_on_simulator(
         if left_out:
             names = _list([f"“{name}”" for name in left_out])
             one = len(left_out) == 1
+            each = f"Taken one by one, the {pairs} show"
+            if tested == 1:
+                each = "The one tested state-action pair shows"
             return (
-                "The transitions show no significant difference from the simulator in"
-                f" {where}; yet in value there is one:"
-                f" the {'interval' if one else 'intervals'} of {names}"
-                f" {'leaves' if one else 'leave'} out the simulator's."
+                f"{each} no significant difference from the simulator, and likely"
+                f" outcomes are as frequent as it says (z = {z:.1f}). Small differences"
+                " add up in the value, though: the"
+                f" {'interval' if one else 'intervals'} of {names}"
+                f" {'leaves' if one else 'leave'} out the simulator's value."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
@@ -444,8 +451,8 @@ def verdict_on_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} In none of the {pairs} is it certain by itself, by a bound that"
-            " holds for all of them at once."
+            f"{whole} It takes all of them to show it: none of the {pairs} has enough"
+            " transitions to show it alone, by a bound that holds for all pairs at once."
         )
     if rejected == tested:
         return f"{whole} Each of the {pairs} differs surely by itself."
@@ -585,7 +592,7 @@ def halve_interval(trials: float, transitions: float) -> str:
     return (
         f"To halve the interval takes about {round_up(trials)} more trials, or"
         f" {round_up(transitions)} more transitions recorded as those of the log"
-        " (by the bound on the variance)."
+        " (estimated from the least variance that is possible)."
     )
 
 

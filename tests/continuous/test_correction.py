@@ -353,7 +353,11 @@ def test_with_sensor_noise_no_value_is_stated():
     )
     assert "worth about" not in report.headline
     assert "The value in front" not in str(report)
-    assert "This is what sensor noise looks like" in " ".join(str(report).split())
+    told = " ".join(str(report).split())
+    assert "This is what sensor noise looks like" in told
+    # nothing looks like the answer, and a log in memory is told by its size
+    assert told.count("the simulator alone: not the target") == 2
+    assert re.search(r"recorded in the target \([0-9]+ transitions\)", told)
     assert (
         "Keeping the last actions in the state, up to 5, does not help."
         in report.uncertainty.sentences[0]

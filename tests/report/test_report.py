@@ -518,9 +518,10 @@ def test_what_a_policy_is_worth(changes, sentence):
             (
                 "The target differs from the simulator. Outcomes that are likely in the"
                 " simulator are even more frequent in the target (z = 24.5 standard"
-                " deviations, over all recorded transitions together). In none"
-                " of the 1,200 tested state-action pairs is it certain by itself, by a"
-                " bound that holds for all of them at once."
+                " deviations, over all recorded transitions together). It takes all of"
+                " them to show it: none of the 1,200 tested state-action pairs has"
+                " enough transitions to show it alone, by a bound that holds for all"
+                " pairs at once."
             ),
         ),
         (
@@ -568,9 +569,10 @@ def test_what_a_policy_is_worth(changes, sentence):
                 0.0, 0, 1, is_rejected=False, left_out=["mine", "b"]
             ),
             (
-                "The transitions show no significant difference from the simulator in"
-                " the one tested state-action pair (z = 0.0); yet in value there is"
-                " one: the intervals of “mine” and “b” leave out the simulator's."
+                "The one tested state-action pair shows no significant difference from"
+                " the simulator, and likely outcomes are as frequent as it says (z ="
+                " 0.0). Small differences add up in the value, though: the intervals of"
+                " “mine” and “b” leave out the simulator's value."
             ),
         ),
         (

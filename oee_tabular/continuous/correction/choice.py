@@ -110,8 +110,8 @@ class Correction:
         if self.steps:
             share = self.learned.hidden_part / self.plain.hidden_part
             text = (
-                f"With the last {self.steps} actions in the state, {share:.0%} of that"
-                " effect is left."
+                f"With the last {self.steps} actions in the state, {share:.0%} of this"
+                " dependence on the past is left."
             )
         return f"{text} {remedy(self.learned)}"
 

@@ -46,8 +46,8 @@ def difference(corrected: ResidualSimulator) -> str:
     if corrected.units:
         return f"{UNITS.capitalize()}{corrected.units}. {text}"
     text += (
-        " Differences and noise are root mean squares over the log's steps; the share"
-        " removed is one of their squares."
+        " Differences and noise are root mean squares over the log's steps; what the"
+        " correction removes is a share of the mean square."
     )
     return text + odd_row(corrected)
 
