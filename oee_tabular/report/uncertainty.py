@@ -814,8 +814,11 @@ def _write_apart(
     sentences = []
     for name, policy in policies.items():
         trials = find_trials(problem, policy, name)
-        of_log = front[name].interval
-        if trials is None or name in joined or of_log is None:
+        estimate = front.get(name)
+        if trials is None or name in joined or estimate is None:
+            continue
+        of_log = estimate.interval
+        if of_log is None or not estimate.is_from_log:
             continue
         of_trials = read_outcomes(problem, policy, trials).ends(level)
         if of_trials[1] < of_log[0] or of_log[1] < of_trials[0]:
