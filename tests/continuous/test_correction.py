@@ -50,6 +50,7 @@ from oee_tabular.tasks import (
     HistoryTask,
     LinearModel,
     Moves,
+    ParameterFit,
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
@@ -980,3 +981,13 @@ def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
         "is impossible: a sum of 20 rewards is between -18.21 and 0"
         in residual.estimate.status
     )
+
+
+@pytest.mark.parametrize("name", ["standard_error", "start"])
+def test_a_fit_of_parameters_has_a_number_of_each(name):
+    known = {"standard_error": {"gravity": 0.1}, "start": {"gravity": 10.0}}
+    known[name] = {"length": 0.1}
+    with pytest.raises(ValueError, match=f"^{name} must have a number of every .*'gra"):
+        ParameterFit(
+            CartPole(), {"gravity": 9.0}, residual=np.zeros((2, 4)), **known
+        ).describe()

@@ -286,9 +286,13 @@ BAD = {
         "families must name at least one; it is empty",
     ),
     "no families at all": ({"families": 3}, "families must be a function; got int"),
+    "an array without dimensions": (
+        {"families": np.array("machine")},
+        "families must be names, or a mapping of families; iteration over a 0-d array",
+    ),
     "no family": (
         {"families": "own:wrong"},
-        "family 'three' must be a Family; it is a int",
+        "families must be Families; family 'three' is a int",
     ),
     "no mapping": (
         {"families": lambda: 3},

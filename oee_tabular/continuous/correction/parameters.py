@@ -90,6 +90,17 @@ class ParameterFit:
     start: Mapping[str, float]
     at_bounds: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        for name in ("standard_error", "start"):
+            given = getattr(self, name)
+            for key in self.parameters:
+                if key not in given:
+                    raise ArgumentError(
+                        name,
+                        f"must have a number of every parameter; {_checks.show(key)} is"
+                        " missing",
+                    )
+
     def describe(self) -> str:
         """Describe each parameter with its standard error.
 

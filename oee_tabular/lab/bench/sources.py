@@ -39,7 +39,13 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
     elif isinstance(given, str | Mapping) or not isinstance(given, Iterable):
         names = tuple(families_at(given, seed))
     else:  # names of the package's families
-        names = tuple(dict.fromkeys(conform(tuple(given), "families", tuple[str, ...])))
+        try:
+            listed = tuple(given)
+        except TypeError as error:  # an array without dimensions, for one
+            raise ArgumentError(
+                "families", f"must be names, or a mapping of families; {error}"
+            ) from None
+        names = tuple(dict.fromkeys(conform(listed, "families", tuple[str, ...])))
         given = None
     if not names:
         raise ArgumentError("families", "must name at least one; it is empty")
@@ -63,8 +69,9 @@ def find_family(source: Any, name: str, seed: int) -> Family:
         )
     family = every[name]
     if not isinstance(family, Family):
-        raise ValueError(
-            f"family {name!r} must be a Family; it is a {type(family).__name__}"
+        raise ArgumentError(
+            "families",
+            f"must be Families; family {name!r} is a {type(family).__name__}",
         )
     return family
 

@@ -147,7 +147,8 @@ def _task(exercise: Any) -> Task:
 
 def _case_numbers(cases: Any) -> list[int]:
     """Return the numbers of cases, checked."""
-    if isinstance(cases, str) or not isinstance(cases, Iterable):
+    has_items = isinstance(cases, Iterable) and getattr(cases, "ndim", 1) > 0
+    if isinstance(cases, str) or not has_items:
         raise ArgumentError(
             "cases",
             f"must be numbers of cases, as in range(5); it is {_checks.show(cases)}",
