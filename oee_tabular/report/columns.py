@@ -171,7 +171,7 @@ def basis_writer(content: Content) -> Callable[[Row], str]:
     doubted = {
         row["policy"]
         for row in content.records
-        if row["status"] != "ok" and row["estimator"].startswith("oee")
+        if row["status"] != "ok" and row["estimator"] in text.CORRECTED_ROWS
     }
 
     def write(row: Row) -> str:

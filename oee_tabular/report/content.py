@@ -97,8 +97,9 @@ class Content:
         The numbers, from 1, of the warnings that are about rows.
     facts : dict of str to value
         What simulator, log and rewards are.
-    sizes : (int, int) or None
-        The numbers of transitions and of states; None for a continuous task.
+    sizes : (int or None, int or None)
+        The numbers of transitions and of states; None where there is no such number,
+        as of the states of a continuous task.
     tried : dict of str to int
         The number of trials of each policy that was tried.
     """
@@ -120,14 +121,14 @@ class Content:
     warnings: tuple[str, ...]
     about_rows: frozenset[int]
     facts: Mapping[str, Any]
-    sizes: tuple[int, int] | None
+    sizes: tuple[int | None, int | None]
     tried: Mapping[str, int]
 
 
 def gather_content(report: Report) -> Content:
     """Gather what a report says, once for all its forms."""
     problem = report.problem
-    sizes = None
+    sizes: tuple[int | None, int | None] = (report.facts.get("transitions"), None)
     tried = {}
     if problem is not None:
         by_policy = trials_by_policy(problem, report.policies)

@@ -273,18 +273,12 @@ def inputs(content: Content) -> list[str]:
 def provenance(content: Content) -> str:
     """Return in one line what the report was made from."""
     facts = content.facts
-    simulator = facts.get("simulator_name")
+    simulator = facts.get("simulator_name") or facts.get("task")
     if simulator and facts.get("action_noise"):
         simulator += f" with action noise {facts['action_noise']:g}"
-    log = facts.get("log_name")
-    if content.sizes is None:  # a continuous task
-        whole = str(facts.get("simulator") or "")
-        simulator = simulator or whole.removesuffix(", without cells")
-        # of what a log in memory says of itself, its size
-        log = log or str(facts.get("log") or "").partition("(")[2].partition(" of ")[0]
     names = [
         name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
-        for name in (log, simulator)
+        for name in (facts.get("log_name"), simulator)
     ]
     return text.provenance(content.sizes, (names[0], names[1]), content.tried)
 

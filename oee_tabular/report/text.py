@@ -100,6 +100,10 @@ DEFAULT_ROWS: Mapping[str, str] = {
     "linear model of the log": "the log alone",
     "simulator (continuous)": OF_SIMULATOR,
 }
+# the rows whose value is that of a corrected simulator
+CORRECTED_ROWS = frozenset(
+    {"oee", "oee-tied", "oee-features", "oee+trials", *CONTINUOUS_ROWS}
+)
 NOT_USABLE = "do not rely on this value (--verbose says why)"
 NO_VALUE = (
     "No estimator could give the value of a policy in the target. The notes say why."
@@ -714,19 +718,20 @@ def left_out(notes: int, rows: int, hidden: int) -> str:
 
 
 def provenance(
-    counts: tuple[int, int] | None,
+    counts: tuple[int | None, int | None],
     names: tuple[str | None, str | None],
     trials: Mapping[str, int] | None = None,
 ) -> str:
     """Say what a value was made from; "" where nothing is known.
 
     ``counts`` are the numbers of transitions and of states, ``names`` are those of the
-    log and of the simulator, where they are known. ``trials`` are the numbers of trials
+    log and of the simulator: each None where it is not known. ``trials`` are the numbers of trials
     by policy.
     """
-    sizes: tuple[str | None, str | None] = (None, None)
-    if counts is not None:
-        sizes = (count(counts[0], "transition"), count(counts[1], "state"))
+    sizes = [
+        None if number is None else count(number, unit)
+        for number, unit in zip(counts, ("transition", "state"), strict=True)
+    ]
     parts = []
     sources = ("the log that was recorded in the target", "the simulator")
     for what, name, size in zip(sources, names, sizes, strict=True):

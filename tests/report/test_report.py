@@ -650,7 +650,7 @@ def test_what_a_policy_is_worth(changes, sentence):
                 " report.to_text(verbose=True, all=True)."
             ),
         ),
-        (text.provenance(None, (None, None)), ""),
+        (text.provenance((None, None), (None, None)), ""),
         (
             text.provenance((3162, 100), ("log.csv", None)),
             (
@@ -666,7 +666,7 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
         ),
         (
-            text.provenance(None, (None, "b"), {"a": 1200, "c": 3}),
+            text.provenance((None, None), (None, "b"), {"a": 1200, "c": 3}),
             "Made from the simulator (b) and 1,203 trials (1,200 of “a”, 3 of “c”).",
         ),
         (

@@ -118,6 +118,8 @@ def assemble_rows(
     facts = {
         "simulator": f"{prepared.simulator.name}, without cells",
         "log": repr(prepared.given_log),
+        "task": prepared.simulator.name,
+        "transitions": len(prepared.given_log),
         **layout.facts,
     }
     report = _report_rows(
