@@ -40,7 +40,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._sparse import align, find
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy, policy_value, state_values, transition_gradient
+from oee_tabular.exact import policy_value, state_values, transition_gradient
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.profile_ascent import PolicyRows, value_of_rows
@@ -182,7 +182,7 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     horizon = evidence.horizon
     fitted = evidence.fitted
     rows = evidence.rows
-    share = occupancy(fitted, policy, horizon=horizon).reshape(-1)
+    share = evidence.time_share
     unmet = np.zeros(len(share))
     variance = 0.0
     if sampling is not None:
@@ -237,7 +237,7 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
     fitted = evidence.fitted
     gamma = evidence.fitted.discount
     if evidence.horizon is None:
-        time = occupancy(fitted, policy).reshape(-1) / (1.0 - gamma)
+        time = evidence.time_share / (1.0 - gamma)
         down, up = time @ (q[:, None] * _reach(evidence, state_values(fitted, policy)))
         return float(down), float(up)
     values = np.zeros(len(policy))

@@ -67,6 +67,12 @@ class Evidence:
         """Return the maximum-likelihood model."""
         return self.with_rows(self.phat)
 
+    @cached_property
+    def time_share(self) -> Array:
+        """Return the share (S*A,) of the policy's time in each pair, as fitted."""
+        time = occupancy(self.fitted, self.policy, horizon=self.horizon)
+        return time.reshape(-1)
+
     def with_rows(self, probabilities: Array) -> ReweightedModel:
         """Return the model with other probabilities on its entries, zeros kept."""
         return with_rows(self.model, probabilities)
@@ -176,8 +182,8 @@ def require_squares(model: FiniteMDP) -> None:
 
 def unrecorded_share(evidence: Evidence) -> float:
     """Return the share of the policy's time in stochastic rows without data."""
-    time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
-    return float(time.reshape(-1)[(evidence.n == 0) & evidence.is_stochastic].sum())
+    never = (evidence.n == 0) & evidence.is_stochastic
+    return float(evidence.time_share[never].sum())
 
 
 def possible_values(evidence: Evidence) -> tuple[float, float]:

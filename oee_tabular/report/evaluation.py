@@ -335,7 +335,7 @@ class _Request:
     truth : dict of str to float
         The exact values, where the target is known.
     facts : dict of str to value
-        The facts of the report.
+        More facts for the report.
     seed : Seed
         The seed.
     normalized : bool
@@ -432,7 +432,7 @@ def _check_request(
         chosen,
         tuple(left_out),
         truth,
-        _describe_premises(problem, named, known) | dict(facts or {}),
+        dict(facts or {}),
         seed,
         normalized,
         seconds,
@@ -550,7 +550,7 @@ def _put_together(request: _Request, rows: _Rows, found: Uncertainty) -> Report:
         problem.simulator.discount,
         problem.horizon,
         request.seed,
-        request.facts,
+        {**_describe_premises(problem, named, request.known), **request.facts},
         uncertainty,
         problem,
         named,
