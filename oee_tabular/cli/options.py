@@ -64,7 +64,9 @@ ColumnOption = Annotated[
     typer.Option(
         "--column",
         metavar="COLUMN=LABEL",
-        help="What the log's files call a column, repeatable: state=pose_before.",
+        help="What the log's files call a column, repeatable: state=pose_before. Columns"
+        " are state, action, next_state, reward, terminated, truncated, episode,"
+        " timestep, behavior_probability.",
         rich_help_panel=INPUT,
     ),
 ]

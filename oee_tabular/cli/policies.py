@@ -327,6 +327,8 @@ def describe_policy(path: str) -> str | None:
     others = [label for label in labels if label not in found]
     if found and len(others) == 2:
         own = {"state": others[0], "action": others[1]} | own
+    if not found and len(labels) == 2 and "action" in own:
+        own.setdefault("state", next(x for x in labels if x != own["action"]))
     if "action" in own and "state" in own:
         frame = csv_frame(path)
         state, action = own["state"], own["action"]

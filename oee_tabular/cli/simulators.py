@@ -29,15 +29,33 @@ def is_table(spec: str) -> bool:
 def refuse_table(spec: str) -> None:
     """Raise an ArgumentError where a simulator is named by the file of a table."""
     if is_table(spec):
+        columns = _write_column_options(spec)
         raise ArgumentError(
             "--simulator",
             f"must be a task, an environment or a saved FiniteMDP (.npz); {spec!r} is a"
             f" table (of samples, or with a column probability: oee export"
-            f" {shlex.quote(spec)}"
+            f" {shlex.quote(spec)}{columns}"
             " --initial STATE --discount G --output simulator.npz; in Python, of"
             " samples: log = Transitions.load(path); FiniteMDP.from_log(log,"
             " initial=STATE, discount=G).save('simulator.npz'))",
         )
+
+
+def _write_column_options(spec: str) -> str:
+    """Return the options that say which columns of a table are which; "" if none."""
+    from oee_tabular.data.tables import read_labels
+
+    if not spec.lower().endswith((".csv", ".csv.gz")):
+        return ""
+    try:
+        labels = read_labels(spec)
+    except (ArgumentError, OSError):
+        return ""
+    missing = _find_missing(labels, {}, (*FIELDS[:3], "reward"))
+    options = "".join(f" --column {field}=LABEL" for field in missing)
+    if options and PROBABILITY not in labels:
+        options += f" [--column {PROBABILITY}=LABEL]"
+    return options
 
 
 def read_simulator(
@@ -156,6 +174,8 @@ def _name_missing(path: str, columns: Mapping[str, Any], error: ArgumentError) -
     if lacks:
         words = " ".join(f"--column {field}=LABEL" for field in lacks)
         more += f" ({words})"
+    if len([label for label in labels if label]) == 2:
+        more += ", a policy's has state and action"
     raise ArgumentError(
         repr(path),
         f"must have the columns {', '.join(FIELDS[:3])}; it has"

@@ -22,7 +22,7 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular.data.aliases import find_field
 from oee_tabular.data.copies import Namesakes, Overlaps, Reordered, print_of
-from oee_tabular.data.rules import WAY, settle_episodes
+from oee_tabular.data.rules import ORDER_WAY, settle_episodes
 from oee_tabular.data.tables import LogFile, describe_row
 from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import check_names
@@ -338,7 +338,7 @@ def join_logs(
                 if n and "episode" in columns:
                     hint = order_hint(file, columns, named)
                     if is_table and not hint and not cls.FILES.has_vectors:
-                        hint = WAY
+                        hint = ORDER_WAY
                 raise ArgumentError(error.argument, error.rule + hint) from None
         is_one.append(verdict.is_one)
         shifts.append(shift)

@@ -50,6 +50,11 @@ WAY = (
     " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
     " bad_rows='drop'), oee counts --bad-rows drop)"
 )
+# the same of rows that do not follow each other, where a column may be the wrong one
+ORDER_WAY = (
+    " (make sure first that episode, timestep, state and next_state are the right"
+    f" columns; {WAY.removeprefix(' (')}"
+)
 # in small letters, without blanks around; numbers that are 0 or 1 are flags as well
 FLAG_WORDS = {
     "true": True,

@@ -1,6 +1,6 @@
 """The columns of a report's tables: titles, cells and meanings, in one list each.
 
-Terminal, notebook and page choose columns by title. A cell is the same text in each;
+Terminal, notebook and page choose columns by name. A cell is the same text in each;
 the page and the notebook lay it out otherwise.
 """
 
@@ -163,7 +163,7 @@ def value_columns(content: Content) -> dict[str, Column]:
 
 
 def basis_writer(content: Content) -> Callable[[Row], str]:
-    """Return what writes of a row what its value rests on.
+    """Return a function that writes what the value of a row rests on.
 
     Where the corrected simulator cannot be relied on, the simulator's own value stands
     without a warning, and must not look like the answer.
@@ -175,7 +175,7 @@ def basis_writer(content: Content) -> Callable[[Row], str]:
     }
 
     def write(row: Row) -> str:
-        """Write it."""
+        """Write what the value of a row rests on."""
         basis = write_basis(row)
         if basis == text.OF_SIMULATOR and row["policy"] in doubted:
             return text.NOT_OF_TARGET
@@ -187,8 +187,8 @@ def basis_writer(content: Content) -> Callable[[Row], str]:
 def write_basis(row: Row) -> str:
     """Write what an estimator's value rests on; "" for estimators of one's own.
 
-    Of a log that covers less than half of what the policy does, it says how much, and
-    of a value that is not to be used it says so.
+    Where the log covers less than half of what the policy does, the text says how much.
+    Where the value is not to be used, it says so instead.
     """
     if row["status"] != "ok":
         return text.NOT_USABLE

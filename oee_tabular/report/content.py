@@ -8,6 +8,7 @@ out; ``columns`` says which columns a table has, and ``text`` has the sentences.
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,12 +26,13 @@ from oee_tabular.report.files import plain
 from oee_tabular.report.notes import Note, rank_notes
 from oee_tabular.report.rows import Result, first_results
 from oee_tabular.report.text import Answer
-from oee_tabular.report.uncertainty import LIKELIHOOD, OWN
+from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, ROLLOUTS
 
 if TYPE_CHECKING:
     from oee_tabular.report.results import Report
 
 Record = dict[str, Any]
+PLAN_FILE = "next.csv"  # which a plan's command writes, with the names of states
 # of half an interval: rewards of the log that change a value by less are not named
 # first
 NEGLIGIBLE_SHARE = 0.05
@@ -102,6 +104,8 @@ class Content:
         as of the states of a continuous task.
     tried : dict of str to int
         The number of trials of each policy that was tried.
+    plan_command : str
+        What plans the next recording, ready to be typed; "" where nothing does.
     """
 
     brief: str
@@ -123,6 +127,7 @@ class Content:
     facts: Mapping[str, Any]
     sizes: tuple[int | None, int | None]
     tried: Mapping[str, int]
+    plan_command: str
 
 
 def gather_content(report: Report) -> Content:
@@ -157,7 +162,50 @@ def gather_content(report: Report) -> Content:
         facts=report.facts,
         sizes=sizes,
         tried=tried,
+        plan_command=write_plan_command(report),
     )
+
+
+# ---- the next recording
+
+
+def write_plan_command(report: Report) -> str:
+    """Write what plans the next recording, ready to be typed.
+
+    It is the command in the files' own names, with the options by which they were read,
+    or the call in Python; "" where neither can plan (a continuous task's log, the
+    probability of success).
+    """
+    facts = report.facts
+    if report.problem is None or "success" in facts:
+        return ""
+    n = max(1, int(report.problem.counts.sum()))
+    if "policy_names" not in facts:
+        if "simulator_name" in facts:
+            return ""
+        wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
+        return f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
+    words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
+    for file in facts.get("log_files", [facts["log_name"]]):
+        words += ["--log", str(file)]
+    for column in facts.get("column_options", ()):
+        words += ["--column", str(column)]
+    for name, spec in facts["policy_names"].items():
+        words += ["--policy", spec if name == spec else f"{name}={spec}"]
+    options = {
+        "horizon": report.horizon,
+        **{name: facts.get(name) for name in ("initial", "discount", "impossible")},
+    }
+    options["action-noise"] = facts.get("action_noise") or None
+    options["box"] = facts.get("box")
+    options["confidence"] = None if report.confidence == 0.95 else report.confidence
+    for name, value in options.items():
+        # a value that begins with a dash would be read as an option
+        if str(value).startswith("-"):
+            words.append(f"--{name}={value}")
+        elif value is not None:
+            words += [f"--{name}", str(value)]
+    return shlex.join([*words, "--transitions", str(n), "--output", PLAN_FILE])
 
 
 # ---- rows
@@ -174,8 +222,8 @@ def make_answers(report: Report) -> list[Answer]:
     for policy, first in first_results(report.results).items():
         row = make_record(report, first)
         simulator = record_of_simulator(report, policy)
-        # rollouts' own noise is small, and no fault of the simulator
-        is_exact = simulator.get("standard_error_of") == "rollouts"
+        # the noise of rollouts is small, and says nothing against the simulator
+        is_by_rollouts = simulator.get("standard_error_of") == ROLLOUTS
         likelihood = report.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
         unrecorded = 0
         if likelihood is not None:
@@ -195,7 +243,7 @@ def make_answers(report: Report) -> list[Answer]:
                 row["upper"],
                 row["interval_method"],
                 simulator.get("value"),
-                None if is_exact else simulator.get("standard_error"),
+                None if is_by_rollouts else simulator.get("standard_error"),
                 row["true_value"],
                 row.get("coverage"),
                 unrecorded,

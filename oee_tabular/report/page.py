@@ -12,7 +12,6 @@ import math
 import os
 import platform
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -114,7 +113,8 @@ def render(
         draw_forest=draw_forest,
         csv=csv_url(report),
         limits={"policies": MAX_POLICIES, "share": MIN_SHARE_TO_CROSS_OUT},
-        command=plan_command(report),
+        command=report.content.plan_command,
+        planned=text.PLANNED,
         date=date(report),
         fingerprint=inputs,
         diagnostics=columns.estimator_columns(report.content, columns.DIAGNOSTICS),
@@ -231,45 +231,6 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
         for name, x in arrays.items()
     }
     return _files.digest(converted)[:8]
-
-
-def plan_command(report: Report) -> str:
-    """Return what plans the next recording, ready to be typed.
-
-    It is the command in the files' own names, with the options by which they were read,
-    or the call in Python; "" where neither can plan (a continuous task's log, the
-    probability of success).
-    """
-    facts = report.facts
-    if report.problem is None or "success" in facts:
-        return ""
-    n = max(1, int(report.problem.counts.sum()))
-    if "policy_names" not in facts:
-        if "simulator_name" in facts:
-            return ""
-        wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
-        return f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
-    words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
-    for file in facts.get("log_files", [facts["log_name"]]):
-        words += ["--log", str(file)]
-    for column in facts.get("column_options", ()):
-        words += ["--column", str(column)]
-    for name, spec in facts["policy_names"].items():
-        words += ["--policy", spec if name == spec else f"{name}={spec}"]
-    options = {
-        "horizon": report.horizon,
-        **{name: facts.get(name) for name in ("initial", "discount", "impossible")},
-    }
-    options["action-noise"] = facts.get("action_noise") or None
-    options["box"] = facts.get("box")
-    options["confidence"] = None if report.confidence == 0.95 else report.confidence
-    for name, value in options.items():
-        # a value that begins with a dash would be read as an option
-        if str(value).startswith("-"):
-            words.append(f"--{name}={value}")
-        elif value is not None:
-            words += [f"--{name}", str(value)]
-    return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
 
 
 # tables and pictures of values

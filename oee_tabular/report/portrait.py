@@ -155,7 +155,7 @@ class Portrait:
         action = int(certain.argmax())
         pair = self.names.label_pair(state, action)
         if certain[action] <= 0.0:
-            return f"{self.where(state)}: no difference is certain"
+            return f"{self.where(state)}: no bound on the difference is above 0"
         return f"{pair}: at least {certain[action]:.0%} of transitions end elsewhere"
 
     def tooltips(self, tell: Callable[[int], str]) -> list[Tooltip]:

@@ -41,7 +41,7 @@ def render(report: Report, *, all: bool, verbose: bool) -> str:
         fold([content.headline]),
         comparison_in_full(content),
         align(columns.estimator_columns(content, columns.FULL), rows),
-        fold([*report.legend(rows), *content.details]),
+        [*fold([*report.legend(rows), *content.details]), *planning(content)],
         [*fold(notes, indent="    "), *fold([rest])],
         fold(inputs(content)),
     )
@@ -258,6 +258,13 @@ def number_notes(content: Content, rows: Sequence[Row]) -> tuple[list[Row], list
 
 
 # ---- what it was made from
+
+
+def planning(content: Content) -> list[str]:
+    """Return the command that plans the next recording, where a command reported."""
+    if not content.plan_command or "policy_names" not in content.facts:
+        return []
+    return [text.PLANNED, f"    {content.plan_command}"]
 
 
 def inputs(content: Content) -> list[str]:

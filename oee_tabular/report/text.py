@@ -104,6 +104,8 @@ DEFAULT_ROWS: Mapping[str, str] = {
 CORRECTED_ROWS = frozenset(
     {"oee", "oee-tied", "oee-features", "oee+trials", *CONTINUOUS_ROWS}
 )
+# stands above the command that plans the next recording
+PLANNED = "A plan for as many transitions as the log has:"
 NOT_USABLE = "do not rely on this value (--verbose says why)"
 NO_VALUE = (
     "No estimator could give the value of a policy in the target. The notes say why."

@@ -336,7 +336,7 @@ def find_intervals(
     for name, both in joined.items():
         intervals[name][WITH_TRIALS] = both.interval
     left_out = []
-    if not test.rejects:
+    if test.is_passed:
         left_out = [
             name
             for name, policy in policies.items()
@@ -412,13 +412,16 @@ class _Test:
         return abs(self.z) >= MIN_Z
 
     @property
-    def rejects(self) -> bool:
-        """Return whether the simulator is rejected in any way, or nothing is tested."""
+    def is_passed(self) -> bool:
+        """Return whether something was tested, and nothing rejects the simulator."""
         is_any = self.is_rejected or bool(self.is_rejecting.any())
-        return is_any or self.n_tested == 0
+        return self.n_tested > 0 and not is_any
 
     def sentence(self, left_out: Sequence[str] = ()) -> str:
-        """Say it; ``left_out`` as in ``text.verdict_on_simulator``."""
+        """Say what the log tells of the simulator, all together and pair by pair.
+
+        ``left_out`` are the policies of ``text.verdict_on_simulator``.
+        """
         if self.n_tested == 0:
             return text.NOT_TESTED
         return text.verdict_on_simulator(

@@ -1,6 +1,7 @@
 """Simulators from tables, and what a log's messages propose."""
 
 import json
+import re
 import warnings
 
 import numpy as np
@@ -93,6 +94,39 @@ def test_a_table_in_place_of_a_simulator(run, folder, command):
         assert "FiniteMDP.from_log(log, initial=STATE" in told
     told = run("export sim.npz --column state=x --output x.npz", code=2)
     assert "--column must be left out for 'sim.npz'" in told
+
+
+@pytest.mark.parametrize("own", [{}, {"action": "cmd"}, {"state": "wo", "reward": "€"}])
+def test_the_command_for_a_table_in_place_of_a_simulator_works(run, folder, own):
+    table = table_of(oee.FiniteMDP.load("sim.npz")).rename(columns=own)
+    table.to_csv("own table.csv", index=False)
+    told = run("evaluate --simulator 'own table.csv' --log log.csv", code=2)
+    command = re.search(r"oee (export .*? --output simulator.npz)", told)[1]
+    assert command.count("LABEL") == len(own)
+    for field, label in own.items():
+        command = command.replace(f"{field}=LABEL", f"{field}={label}")
+    assert "FiniteMDP" in run(
+        command.replace("STATE", "r0c0").replace("discount G", "discount .9")
+    )
+
+
+def test_a_table_of_two_columns_may_be_a_policy(run, folder):
+    rows = {"wo": ["r0c0", "r0c1"], "was": ["n", "e"]}
+    pd.DataFrame(rows).to_csv("pi.csv")
+    assert "a policy's has state and action" in run("info pi.csv", code=2)
+    pd.DataFrame(rows).rename(columns={"was": "action"}).to_csv("pi.csv")
+    assert run("info pi.csv").startswith("policy: 2 rows of 2 states and 2 actions")
+
+
+def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder):
+    rows = {"state": [0, 1] * 4, "action": 0, "next_state": [1, 0] * 4}
+    rows |= {"timestep": [0, 1] * 4, "run": np.arange(8) // 2, "machine": 7}
+    pd.DataFrame(rows).to_csv("own.csv")
+    told = run("info own.csv --column episode=machine", code=2)
+    assert "timestep[2] must be 2" in told
+    assert "make sure first that episode, timestep, state and next_state are" in told
+    assert "; to leave such rows out" in told
+    assert "4 episodes" in run("info own.csv --column episode=run")
 
 
 NUMBERS = {

@@ -10,6 +10,7 @@ import oee_tabular as oee
 from oee_tabular.continuous.correction.history import HistoryTask, blend_steps
 from oee_tabular.continuous.evaluation.command_levels import (
     Rounding,
+    describe_rounding,
     has_only,
     include_rounding,
     make_finer,
@@ -322,7 +323,22 @@ def test_what_cannot_be_made_finer_is_in_the_interval():
     # (1 - 1/4) 0 + 1/4 2^2 = 1 a step in place of 1/4
     assert row.value == pytest.approx(-20 * 1.0, rel=0.1)
     assert row.upper > -20 * 0.3
-    assert "The intervals include that" in " ".join(report.warnings)
+    assert "The intervals include this change" in " ".join(report.warnings)
+
+
+def test_no_interval_is_said_to_include_what_is_cut_off():
+    """Commands beyond the actions' range are cut: finer actions are in it as well."""
+    task = Slider(3)
+    log = log_of(task, seed=1)
+    policy = as_probabilities(lambda states: np.full(len(states), 2.5), task.actions)
+    measured = {policy: Rounding(3, -1.0, 0.1)}
+    told = describe_rounding("p", policy, log, measured, 1.0, is_counted=True)
+    changed, included, cut = told.split(". ")
+    assert "changes its value in the simulator by about 1" in changed
+    assert included == "The intervals include this change"
+    assert cut.startswith("100% of the policy's commands lie beyond the range of the")
+    plain = describe_rounding("p", policy, log, measured, 1.0)
+    assert plain == told.replace(f" {included}.", "")
 
 
 def test_a_task_that_cannot_be_measured_says_a_distance():

@@ -2,10 +2,10 @@
 
 The error is that of one step f + g, mean square over every row of the log in units of
 the displacement's variance, summed over coordinates (``Coordinate.unexplained``).
-Fitted parameters come first where it is no larger with them. Actions enter the state
-where earlier ones explain residuals, and as many as bring the error within a hundredth
-of a step of the least. Where something hidden remains, no correction of a Markov state
-can be trusted.
+Fitted parameters come first where it is at most 5% larger with them. Actions enter the
+state where earlier ones explain residuals, and as many as bring the error within a
+hundredth of a step of the least. Where something hidden remains, no correction of a
+Markov state can be trusted.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ from oee_tabular.typing import Seed
 MIN_GAIN = 0.01  # of a step's own deviation: a history that brings less is not kept
 # share of the hidden part that may be left with a history, for its value to be trusted
 MAX_HIDDEN_LEFT = 0.2
-MAX_ERROR_RATIO = 1.05  # of the errors with and without fitted parameters
+# of the mean square errors with and without fitted parameters, up to which they are taken
+MAX_ERROR_RATIO = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +105,19 @@ class Correction:
         """
         if self.is_trusted or self.learned.units:
             return ""
-        if not is_auto:
-            return "Use history auto, which tries up to five last actions in the state."
+        if not is_auto and self.steps <= MAX_LAG:
+            return (
+                f"Use history auto, which tries up to {MAX_LAG} last actions in the"
+                " state."
+            )
         text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         if self.steps:
             share = self.learned.hidden_part / self.plain.hidden_part
             text = (
-                f"With the last {self.steps} actions in the state, {share:.0%} of this"
-                " dependence on the past is left."
+                f"With the last {describe_count(self.steps)} in the state, {share:.0%}"
+                " of this dependence on the past is left."
             )
-        return f"{text} {remedy(self.learned)}"
+        return f"{text} {remedy(self.learned, self.steps)}"
 
 
 def choose_correction(
@@ -165,7 +169,9 @@ def choose_correction(
     both = correct(fitted, fit)
     errors = [each.learned.held_out_error for each in (both, chosen)]
     is_taken = errors[0] <= MAX_ERROR_RATIO * errors[1]
-    words = ("fitted", "no larger") if is_taken else ("given", "smaller")
+    words = ("given", "clearly smaller")
+    if is_taken:
+        words = ("fitted", "not clearly larger")
     text = (
         f"{fit.describe()} The value in front corrects the residuals of the {words[0]}"
         f" simulator, because its held-out one-step error is {words[1]}"

@@ -535,10 +535,11 @@ def _added_error(w: Array, cross: Array, inner: Array) -> Array:
 def episode_groups(
     episode: IntArray | None, n: int, width: int, n_actions: int
 ) -> IntArray:
-    """Return the group (n,) of each row: whole episodes or else rows in turn.
+    """Return the group (n,) of each row: whole episodes, or stretches of rows.
 
-    There are as many groups as the Gram matrices' memory allows, at least 8 and at most
-    40, if there are so many episodes.
+    Where there are fewer than 8 episodes, 40 stretches of consecutive rows take their
+    place. They are dealt out in turn to as many groups as the Gram matrices' memory
+    allows, from 8 to 40.
     """
     if episode is None or len(np.unique(episode)) < 8:
         number = np.arange(n) * 40 // n

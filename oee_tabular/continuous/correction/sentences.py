@@ -71,8 +71,11 @@ def odd_row(corrected: ResidualSimulator) -> str:
     return ""
 
 
-def remedy(learned: ResidualSimulator) -> str:
-    """Say what may be hidden, and what to do before a value can be trusted."""
+def remedy(learned: ResidualSimulator, steps: int = 0) -> str:
+    """Say what may be hidden, and what to do before a value can be trusted.
+
+    ``steps`` is the number of last actions that the state has already.
+    """
     hidden = [c.history for c in learned.coordinates if c.hidden]
     first = max(hidden, key=lambda effect: effect.lag_r_squared)
     # what a sensor adds to one state is taken back in the next step
@@ -85,7 +88,8 @@ def remedy(learned: ResidualSimulator) -> str:
         )
     return (
         "A slow actuator, a longer delay or a quantity that is not recorded may be the"
-        f" cause. Record what is missing, or keep more actions (history {MAX_LAG + 3})."
+        " cause. Record what is missing, or keep more actions (history"
+        f" {max(MAX_LAG, steps) + 3})."
     )
 
 

@@ -26,8 +26,8 @@ from oee_tabular.typing import Array, BoolArray, IntArray
 
 MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
 MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others
-# From so many longest displacements further back a step is tried, until it is free of a
-# stop.
+# multiples of the longest displacement by which a step is begun further back, tried in
+# turn until it ends at no stop
 SHARES_BACK = 2.0 ** np.arange(-5, 1)
 
 
@@ -198,7 +198,10 @@ def _side(stops: Array, values: Array) -> IntArray:
 
 
 def _extremes(values: Array) -> Array:
-    """Return the least and the most (2, d) where ``MIN_ROWS`` end there and not all."""
+    """Return the least and the most (2, d) of each coordinate that varies.
+
+    They are infinite where fewer than ``MIN_ROWS`` rows end there.
+    """
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
     n_rows = (values == ends[:, None]).sum(axis=1)
     is_stop = (n_rows >= MIN_ROWS) & (values.std(axis=0) > 0)
@@ -208,7 +211,8 @@ def _extremes(values: Array) -> Array:
 def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
     """Return the extremes that are stops.
 
-    They are of a coordinate that is no angle and no number, and hold for few rows.
+    A coordinate with a stop is no angle, and takes more values between its stops than
+    the root of the number of rows; at most half of the rows are at stops.
     Something must be held there, as a speed is at a wall: a limit that holds nothing
     else is a bound, no more.
     """

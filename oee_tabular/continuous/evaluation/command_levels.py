@@ -35,18 +35,18 @@ from oee_tabular.continuous.task.base import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate
 from oee_tabular.typing import Array, IntArray
 
-# of what is left over beyond the finer levels' difference
+# times the finer levels' difference d: the error of the coarser levels
 RICHARDSON = 4.0 / 3.0
-# of this error, the most that it can be
+# times this error: its bound 2 d
 MOST = 2.0 / RICHARDSON
 # of the interval's half width, above which levels are too coarse
 MAX_SHARE = 0.1
 # standard errors, below which a difference may be chance
 N_ERRORS = 2.0
 MAX_FINER_COMMANDS = 1000
-# times that the levels are made finer
+# rounds in which levels are made finer and everything is computed again
 MAX_REFINEMENTS = 2
-# of a log's rows that took one of the actions: above it, the log knows no others
+# share of a log's rows that took one of the actions: above it, the log has too few others
 MAX_ON_LEVELS = 0.5
 # of the log's states, in which a policy's commands are compared with the actions
 MAX_POLICY_STATES = 1000
@@ -126,7 +126,10 @@ def make_finer(
 
 
 def has_only(log: ContinuousTransitions, actions: Array) -> bool:
-    """Return whether most rows of a log took an action, by number or command."""
+    """Return whether more than half of a log's rows took one of ``actions``.
+
+    It is so where either is given by numbers.
+    """
     if log.action.ndim == 1 or actions.ndim == 1:
         return True
     rows = np.unique(np.linspace(0, len(log) - 1, MAX_POLICY_STATES).astype(np.int64))
@@ -246,10 +249,14 @@ def describe_rounding(
     log: ContinuousTransitions,
     roundings: Mapping[StatePolicy, Rounding],
     scale: float,
+    *,
+    is_counted: bool = False,
 ) -> str:
     """Describe what rounding a policy's commands does; "" where none is rounded.
 
     That is a difference in value where it was measured, else a distance of commands.
+    With ``is_counted`` the intervals have that difference in them; what is cut off
+    commands beyond the actions' range cannot be measured, and is in no interval.
     """
     if not isinstance(policy, CommandPolicy):
         return ""
@@ -257,7 +264,8 @@ def describe_rounding(
     distance, cut = _describe_distance(name, policy, log.state[:MAX_POLICY_STATES])
     if rounding is None or not distance:
         return distance + cut
-    return rounding.describe(name, scale) + "." + cut
+    counted = " The intervals include this change." if is_counted else ""
+    return f"{rounding.describe(name, scale)}.{counted}{cut}"
 
 
 def _describe_distance(
@@ -272,7 +280,10 @@ def _describe_distance(
         return "", ""
     cut = ""
     if beyond > 0.0:
-        cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it."
+        cut = (
+            f" {beyond:.0%} of the policy's commands lie beyond the range of the task's"
+            " and are cut to it."
+        )
     text = (
         f"The commands of “{name}” are rounded to the task's {len(policy.actions)}"
         f" commands, by {distance:.2g} (root mean square in the log's states)."

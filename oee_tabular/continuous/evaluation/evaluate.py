@@ -194,10 +194,16 @@ def evaluate_continuous(
     Its rows are:
 
     - "simulator (continuous)": always, by Monte Carlo.
-    - "oee (residual)": if "oee" is among the estimators.
+    - "oee (residual)": if "oee" is among the estimators. Where fitted parameters or
+      last actions are taken, a row like "oee (parameters, residual)" or "oee
+      (residual, last 2 actions)" stands before it.
+    - "oee (calibrated)" and "oee on the grid": if "oee" is among the estimators and
+      ``settings.grid`` is given. The former is left out with calibration "none"; the
+      latter has the error of the grid.
     - "linear model of the log": if ``estimators`` is None.
-    - "oee (calibrated)" and "oee on the grid": if ``settings.grid`` is given as well.
-      The latter has the error of the grid.
+    - "pdis", "wpdis" and, on cells, finite estimators: if they are asked for, and by
+      default where the behaviour policy is known.
+    - "target (continuous)": if ``target`` is given.
 
     ``facts`` has the support diagnostics and the closure error. If the cells do not fit
     the log, their rows are left out and a warning says why.
@@ -496,9 +502,8 @@ class _Found:
                 self.prepared.given_log,
                 self.roundings,
                 self.request.scale,
+                is_counted=name in coarse,
             )
-            if name in coarse:
-                text += " The intervals include that."
             if text:
                 found.append(text)
         return found

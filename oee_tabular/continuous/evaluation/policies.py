@@ -20,10 +20,11 @@ from oee_tabular.typing import Array
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
     """Return a policy as one that gives probabilities (n, A).
 
-    The policy may give, for states (n, d), probabilities (n, A), action numbers (n,) or
-    commands (n, k). A command between those of a product grid is shared out among its
-    neighbours so that its mean is kept; elsewhere the nearest of ``actions`` (A, k) is
-    taken.
+    The policy may give, for states (n, d), probabilities (n, A); action numbers (n,),
+    where the actions are numbers (A,); or commands (n, k), for k = 1 also (n,), where
+    the actions are commands (A, k): integers are commands then. A command between those
+    of a product grid is shared out among its neighbours so that its mean is kept;
+    elsewhere the nearest of ``actions`` (A, k) is taken.
 
     Examples
     --------
@@ -69,15 +70,15 @@ class CommandPolicy:
     def rounding(self, states: Array) -> tuple[float, float]:
         """Compute how far the actions are from the commands, and the share that is cut.
 
-        The distance is a root mean square. Commands are cut where they lie beyond the
-        range of the actions.
+        The distance is a root mean square, from the commands as they are cut: to the
+        range of the actions, where they lie beyond it.
         """
         weights, commands = self._play(states)
         if commands is None:
             return 0.0, 0.0
         actions = self.actions
         inside = np.clip(commands, actions.min(axis=0), actions.max(axis=0))
-        # E|a - c|^2 = E|a|^2 + c (c - 2 E a), a the action and c the command
+        # E|a - c|^2 = E|a|^2 + c (c - 2 E a), a the action and c the command, cut
         apart = (inside * (inside - 2.0 * weights @ actions)).sum(axis=1)
         squares = weights @ (actions**2).sum(axis=1) + apart
         distance = float(np.sqrt(max(0.0, squares.mean())))

@@ -255,8 +255,10 @@ def corrected_value(
     -------
     Estimate
         The value with its standard error and 95% interval. Its ``status`` is not "ok",
-        and there is no interval, where history explains what the correction leaves
-        over: the state is not Markov then.
+        and there is no interval, where the log's columns seem to be in other units,
+        where history explains what the correction leaves over (the state is not
+        Markov), and where more than half of the policy's transitions start outside the
+        range of the log's states.
 
     Raises
     ------

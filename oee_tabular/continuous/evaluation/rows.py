@@ -59,7 +59,8 @@ class ReportRow:
 class Rows:
     """The rows of a report, in three groups.
 
-    On cells the rows of finite estimators stand between the first two groups.
+    On cells the calibrated row stands behind the first group, and the rows of finite
+    estimators between the last two.
 
     Attributes
     ----------

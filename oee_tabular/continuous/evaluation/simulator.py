@@ -140,7 +140,8 @@ class ContinuousSimulator:
         Notes
         -----
         A function of one's own takes states (n, d) and gives probabilities (n, A),
-        action numbers (n,) or commands (n, k); see ``as_probabilities``.
+        action numbers (n,) of actions that are numbers, or commands (n, k) of actions
+        that are commands; see ``as_probabilities``.
         """
         expert = self.expert
         if spec == "uniform":

@@ -56,7 +56,8 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     Parameters
     ----------
     seed : int, default 0
-        Seed from 0. The random parts of a family (the Garnets) differ between seeds.
+        Seed from 0. Random parts of a family (as those of the Garnets) differ between
+        seeds.
     large : bool, default False
         Whether those are there that a run must name: ``tandem45``, which takes seconds
         a log, and ``garnet_worse`` with 10, 20, 80 and 160 states.

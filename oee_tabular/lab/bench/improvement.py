@@ -10,7 +10,9 @@ optimum, half uniform; it records the logs. The families are those of the bench
 as a share of (best - uniform). *fired* is the share of logs in which a policy was
 deployed, *worse* that in which it was worse than the running one, *held* that in which
 the lower end of the best candidate is at most its true gain. ``split_...`` is the same
-for the optimum of the counts of one half of the log, certified by the other half.
+for ``improve(split=True)``, which makes policies from one half of the log and certifies
+them by the other; ``counts_held`` is *held* for its optimum of the counts alone.
+``regret_running`` is the regret of the running policy.
 """
 
 from __future__ import annotations
