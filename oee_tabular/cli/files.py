@@ -440,7 +440,9 @@ def info(
 ) -> None:
     """Describe the contents of a file.
 
-    Of a log with other labels it says which of them it reads as which column.
+    Of a log with other labels it says which of them it reads as which column. Columns
+    of a log are state, action, next_state, reward, terminated, truncated, episode,
+    timestep and behavior_probability.
     """
     kind, text = describe_files(file, read_columns(column, file))
     record = {"file": ", ".join(file), "kind": kind, "text": text.split("\n")}

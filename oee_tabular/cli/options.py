@@ -64,9 +64,8 @@ ColumnOption = Annotated[
     typer.Option(
         "--column",
         metavar="COLUMN=LABEL",
-        help="What the log's files call a column, repeatable: state=pose_before. Columns"
-        " are state, action, next_state, reward, terminated, truncated, episode,"
-        " timestep, behavior_probability.",
+        help="What the log's files call a column, repeatable: state=pose_before"
+        " (see info -h).",
         rich_help_panel=INPUT,
     ),
 ]
