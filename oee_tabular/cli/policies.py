@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -315,10 +316,15 @@ def _to_numbers(column: Any, name: str) -> Any:
         ) from None
 
 
-def describe_policy(path: str) -> str | None:
-    """Return in words what policy a CSV file holds; None where it is none."""
+def describe_policy(path: str, columns: Mapping[str, Any] | None = None) -> str | None:
+    """Return in words what policy a CSV file holds; None where it is none.
+
+    ``columns`` are the labels of state and action, where they are given.
+    """
     labels = [label for label in read_labels(path) if not INDEX.fullmatch(label)]
     fields = {label: find_field(label, has_vectors=False) for label in labels}
+    given = {label: field for field, label in (columns or {}).items()}
+    fields |= {label: given[label] for label in labels if label in given}
     of_log = set(fields.values()) - {None, "state", "action", "behavior_probability"}
     if of_log or len(labels) < 2:
         return None

@@ -409,7 +409,8 @@ class Plan:
                 describe(s, a) + (f" ({number} times)" if number > 1 else "")
                 for (s, a), number in times.items()
             )
-            lines.append(f"then one transition each: {following}")
+            n_next = len(self.next_pairs) - 1
+            lines.append(f"then the next {n_next}: {following}")
         if self.unrecorded:
             lines.append(
                 "state-action pairs that matter and were never recorded:"

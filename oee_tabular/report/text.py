@@ -443,9 +443,9 @@ def verdict_on_simulator(
             each = "those of the one tested state-action pair do so"
         return (
             "The target differs from the simulator. The recorded transitions show it:"
-            f" {each} by {'itself' if rejected == 1 else 'themselves'}. In all of them"
-            " together, what the simulator calls likely is as frequent as it says"
-            f" (z = {z:.1f})."
+            f" {each} by {'itself' if rejected == 1 else 'themselves'}. All of them"
+            " together do not: over the whole log, outcomes that are likely in the"
+            f" simulator are about as frequent as it says (z = {z:.1f})."
         )
     sign = "less" if z < 0 else "even more"
     whole = (

@@ -116,6 +116,8 @@ def test_a_table_of_two_columns_may_be_a_policy(run, folder):
     assert "a policy's has state and action" in run("info pi.csv", code=2)
     pd.DataFrame(rows).rename(columns={"was": "action"}).to_csv("pi.csv")
     assert run("info pi.csv").startswith("policy: 2 rows of 2 states and 2 actions")
+    told = run("info pi.csv --column state=wo --column action=action", code=2)
+    assert "--column must be left out for 'pi.csv', which holds a policy" in told
 
 
 def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder):

@@ -597,7 +597,7 @@ def test_the_next_pairs_are_the_largest_falls_one_after_another():
         counts[own[-1]] += 1
     assert list(plan.next_pairs) == own
     # a pair that comes several times after the first stands once, with how often
-    line = next(x for x in str(plan).splitlines() if x.startswith("then one"))
+    line = next(x for x in str(plan).splitlines() if x.startswith("then the next"))
     told = line.split(": ", 1)[1]
     for s, a in set(own[1:]):
         name = f"action {a} in state {s}"

@@ -536,9 +536,9 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.verdict_on_simulator(0.52, 3, 40, is_rejected=False),
             (
                 "The target differs from the simulator. The recorded transitions show"
-                " it: 3 of the 40 tested state-action pairs do so by themselves. In all"
-                " of them together, what the simulator calls likely is as frequent as it"
-                " says (z = 0.5)."
+                " it: 3 of the 40 tested state-action pairs do so by themselves. All of"
+                " them together do not: over the whole log, outcomes that are likely in"
+                " the simulator are about as frequent as it says (z = 0.5)."
             ),
         ),
         (

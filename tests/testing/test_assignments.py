@@ -284,6 +284,21 @@ def test_two_numbers_that_look_alike_get_more_digits():
     assert found != right
 
 
+@pytest.mark.parametrize("huge", ["posinf", "neginf"])
+def test_what_nan_to_num_makes_of_inf_is_named(huge):
+    """It is no other mistake, though others have such entries too."""
+    right = first_kind()["ratio_from_counts"]
+
+    def answer(counts, simulator):
+        inf = np.inf if huge == "posinf" else -np.inf
+        lost = (counts > 0) & (simulator == 0)
+        return np.nan_to_num(np.where(lost, inf, right(counts, simulator)))
+
+    told = refusal("2_counts", answer)
+    assert "numpy.nan_to_num makes 1.8e308 of it" in told
+    assert "a pair without counts" not in told
+
+
 def test_an_error_in_a_special_case_says_what_is_special():
     def need(gain, error, cost, n):
         return np.ceil(n * (1.96 * error / (gain - cost)) ** 2)
@@ -857,7 +872,7 @@ def test_rows_are_on_the_disk_before_the_next_student_is_graded(tmp_path):
         assert [row["assignment"] for row in rows] == ["assignment_1", "total"]
     finally:
         process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=60)[0]
+        said = process.communicate(timeout=600)[0]
     assert "Stopped. What was graded is in the tables." in said
     assert process.returncode == 130
 

@@ -225,6 +225,11 @@ class Task:
         self, answer: Any, found: Any, right: Any, arguments: Arguments, kind: Kind
     ) -> str:
         """Return the hint that fits best: of a mistake, of the kind, or of the task."""
+        if self._is_huge_alone(found, right):
+            return (
+                "a division by 0 gives inf, and numpy.nan_to_num makes 1.8e308 of it; say"
+                f" what holds there: {self.hint}"
+            )
         for mistake in self.mistakes:
             if self._is_recognised(answer, mistake, found, right, arguments):
                 return mistake.hint
@@ -249,6 +254,15 @@ class Task:
                 f" rounded, or an iteration stops too early; {hint}"
             )
         return hint
+
+    def _is_huge_alone(self, found: Any, right: Any) -> bool:
+        """Return whether an answer is right but where it is the largest of floats."""
+        if isinstance(right, bool | str):
+            return False
+        is_huge = (np.abs(found) == np.finfo(np.float64).max) & np.isfinite(right)
+        return bool(
+            np.any(is_huge) and np.all(is_huge | self._is_between(found, right, right))
+        )
 
     def _is_of_the_kind(
         self, answer: Any, found: Any, right: Any, arguments: Arguments, kind: Kind
