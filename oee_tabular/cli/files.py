@@ -513,7 +513,7 @@ def describe_files(
         from oee_tabular.cli.policies import describe_policy, require_commas
 
         require_commas(file)
-        policy = describe_policy(file, columns)
+        policy = describe_policy(file)
         if policy is not None and not columns:
             return "policy", policy
         if policy is not None and "next_state" not in (columns or {}):

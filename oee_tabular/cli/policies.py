@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -316,15 +315,10 @@ def _to_numbers(column: Any, name: str) -> Any:
         ) from None
 
 
-def describe_policy(path: str, columns: Mapping[str, Any] | None = None) -> str | None:
-    """Return in words what policy a CSV file holds; None where it is none.
-
-    ``columns`` are the labels of state and action, where they are given.
-    """
+def describe_policy(path: str) -> str | None:
+    """Return in words what policy a CSV file holds; None where it is none."""
     labels = [label for label in read_labels(path) if not INDEX.fullmatch(label)]
     fields = {label: find_field(label, has_vectors=False) for label in labels}
-    given = {label: field for field, label in (columns or {}).items()}
-    fields |= {label: given[label] for label in labels if label in given}
     of_log = set(fields.values()) - {None, "state", "action", "behavior_probability"}
     if of_log or len(labels) < 2:
         return None
@@ -333,8 +327,6 @@ def describe_policy(path: str, columns: Mapping[str, Any] | None = None) -> str 
     others = [label for label in labels if label not in found]
     if found and len(others) == 2:
         own = {"state": others[0], "action": others[1]} | own
-    if not found and len(labels) == 2 and "action" in own:
-        own.setdefault("state", next(x for x in labels if x != own["action"]))
     if "action" in own and "state" in own:
         frame = csv_frame(path)
         state, action = own["state"], own["action"]

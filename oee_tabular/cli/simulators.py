@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,12 +30,13 @@ def is_table(spec: str) -> bool:
 def refuse_table(spec: str) -> None:
     """Raise an ArgumentError where a simulator is named by the file of a table."""
     if is_table(spec):
+        file = f"./{spec}" if spec.startswith("-") else spec
         columns = _write_column_options(spec)
         raise ArgumentError(
             "--simulator",
             f"must be a task, an environment or a saved FiniteMDP (.npz); {spec!r} is a"
             f" table (of samples, or with a column probability: oee export"
-            f" {shlex.quote(spec)}{columns}"
+            f" {shlex.quote(file)}{columns}"
             " --initial STATE --discount G --output simulator.npz; in Python, of"
             " samples: log = Transitions.load(path); FiniteMDP.from_log(log,"
             " initial=STATE, discount=G).save('simulator.npz'))",
@@ -42,7 +44,11 @@ def refuse_table(spec: str) -> None:
 
 
 def _write_column_options(spec: str) -> str:
-    """Return the options that say which columns of a table are which; "" if none."""
+    """Return the options that say which columns of a table are which.
+
+    Empty where there are none to say, and where a table needs more than other names.
+    """
+    from oee_tabular.data.labels import suggest_columns
     from oee_tabular.data.tables import read_labels
 
     if not spec.lower().endswith((".csv", ".csv.gz")):
@@ -51,9 +57,16 @@ def _write_column_options(spec: str) -> str:
         labels = read_labels(spec)
     except (ArgumentError, OSError):
         return ""
+    known = {_find_label(field, labels, {}) for field in FIELDS}
+    free = [label for label in labels if label and label not in known]
     missing = _find_missing(labels, {}, (*FIELDS[:3], "reward"))
+    if missing and missing[-1] == "reward" and len(free) < len(missing):
+        missing.pop()  # it may be in no column
+    has_vectors = any(re.fullmatch(r"(next_)?state_\d+", label) for label in labels)
+    if has_vectors or len(free) < len(missing) or suggest_columns(FIELDS[:3], labels):
+        return ""
     options = "".join(f" --column {field}=LABEL" for field in missing)
-    if options and PROBABILITY not in labels:
+    if options and PROBABILITY not in labels and len(free) > len(missing):
         options += f" [--column {PROBABILITY}=LABEL]"
     return options
 

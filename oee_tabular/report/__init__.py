@@ -17,6 +17,7 @@ from oee_tabular.report.files import new_page as new_page
 from oee_tabular.report.files import plain as plain
 from oee_tabular.report.files import summary as summary
 from oee_tabular.report.results import Report
+from oee_tabular.report.results import Source as Source
 from oee_tabular.report.results import add_log_notes as add_log_notes
 from oee_tabular.report.rows import Result
 from oee_tabular.report.selection import is_best_in_log as is_best_in_log

@@ -171,7 +171,7 @@ def basis_writer(content: Content) -> Callable[[Row], str]:
     doubted = {
         row["policy"]
         for row in content.records
-        if row["status"] != "ok" and row["estimator"] in text.CORRECTED_ROWS
+        if row["status"] != "ok" and text.is_of_correction(row["estimator"])
     }
 
     def write(row: Row) -> str:
@@ -192,7 +192,7 @@ def write_basis(row: Row) -> str:
     """
     if row["status"] != "ok":
         return text.NOT_USABLE
-    basis = text.DEFAULT_ROWS.get(row["estimator"], "")
+    basis = text.write_basis(row["estimator"])
     coverage = row.get("coverage")
     if basis and coverage is not None and coverage < text.MIN_COVERAGE:
         basis += f", which covers {_printing.share(coverage)}"

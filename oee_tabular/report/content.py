@@ -99,6 +99,8 @@ class Content:
         The numbers, from 1, of the warnings that are about rows.
     facts : dict of str to value
         What simulator, log and rewards are.
+    task : str or None
+        The name of a continuous task.
     sizes : (int or None, int or None)
         The numbers of transitions and of states; None where there is no such number,
         as of the states of a continuous task.
@@ -125,6 +127,7 @@ class Content:
     warnings: tuple[str, ...]
     about_rows: frozenset[int]
     facts: Mapping[str, Any]
+    task: str | None
     sizes: tuple[int | None, int | None]
     tried: Mapping[str, int]
     plan_command: str
@@ -133,7 +136,9 @@ class Content:
 def gather_content(report: Report) -> Content:
     """Gather what a report says, once for all its forms."""
     problem = report.problem
-    sizes: tuple[int | None, int | None] = (report.facts.get("transitions"), None)
+    sizes: tuple[int | None, int | None] = (None, None)
+    if report.source is not None:
+        sizes = (report.source.n_transitions, None)
     tried = {}
     if problem is not None:
         by_policy = trials_by_policy(problem, report.policies)
@@ -160,6 +165,7 @@ def gather_content(report: Report) -> Content:
         warnings=report.warnings,
         about_rows=frozenset(numbers),
         facts=report.facts,
+        task=None if report.source is None else report.source.task,
         sizes=sizes,
         tried=tried,
         plan_command=write_plan_command(report),
@@ -185,13 +191,22 @@ def write_plan_command(report: Report) -> str:
             return ""
         wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
         return f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
+    names = facts["policy_names"]
+    files = facts.get("log_files", [facts.get("log_name")])
+    columns = facts.get("column_options", [])
+    # facts may be a user's own, of any form
+    is_a_command_s = isinstance(names, Mapping) and "simulator_name" in facts
+    if not is_a_command_s or not all(
+        isinstance(x, list | tuple) for x in (files, columns)
+    ):
+        return ""
     words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
-    for file in facts.get("log_files", [facts["log_name"]]):
+    for file in files:
         words += ["--log", str(file)]
-    for column in facts.get("column_options", ()):
+    for column in columns:
         words += ["--column", str(column)]
-    for name, spec in facts["policy_names"].items():
-        words += ["--policy", spec if name == spec else f"{name}={spec}"]
+    for name, spec in names.items():
+        words += ["--policy", str(spec) if name == spec else f"{name}={spec}"]
     options = {
         "horizon": report.horizon,
         **{name: facts.get(name) for name in ("initial", "discount", "impossible")},

@@ -61,6 +61,22 @@ def add_log_notes(report: Report, notes: Sequence[str]) -> Report:
     )
 
 
+@dataclass(frozen=True)
+class Source:
+    """What a report without a finite problem was made from.
+
+    Attributes
+    ----------
+    task : str
+        The name of the continuous task.
+    n_transitions : int
+        The number of transitions of the log.
+    """
+
+    task: str
+    n_transitions: int
+
+
 @checked(levels=("confidence",))
 @dataclass(frozen=True)
 class Report:
@@ -107,6 +123,8 @@ class Report:
     kinds : tuple of str
         The kind of each warning, such as that of its finding, which ranks it among the
         notes. Warnings beyond its end are of no kind.
+    source : Source or None
+        The task and the size of the log, where there is no ``problem``.
 
     See Also
     --------
@@ -148,6 +166,7 @@ class Report:
     )
     hidden: frozenset[tuple[str, str]] = frozenset()
     kinds: tuple[str, ...] = ()
+    source: Source | None = None
 
     @cached_property
     def content(self) -> Content:

@@ -140,7 +140,7 @@ def has_row_for_each_policy(content: Content) -> bool:
     Then a row for each policy says all that a first reader looks for.
     """
     names = {row["estimator"] for row in content.records}
-    return bool(content.comparison) and names <= text.DEFAULT_ROWS.keys()
+    return bool(content.comparison) and all(map(text.write_basis, names))
 
 
 def short_columns(content: Content, rows: Sequence[Row]) -> list[Column]:
@@ -262,7 +262,7 @@ def number_notes(content: Content, rows: Sequence[Row]) -> tuple[list[Row], list
 
 def planning(content: Content) -> list[str]:
     """Return the command that plans the next recording, where a command reported."""
-    if not content.plan_command or "policy_names" not in content.facts:
+    if not content.plan_command.startswith("oee plan "):
         return []
     return [text.PLANNED, f"    {content.plan_command}"]
 
@@ -280,9 +280,9 @@ def inputs(content: Content) -> list[str]:
 def provenance(content: Content) -> str:
     """Return in one line what the report was made from."""
     facts = content.facts
-    simulator = facts.get("simulator_name") or facts.get("task")
+    simulator = facts.get("simulator_name") or content.task
     if simulator and facts.get("action_noise"):
-        simulator += f" with action noise {facts['action_noise']:g}"
+        simulator = f"{simulator} with action noise {facts['action_noise']:g}"
     names = [
         name and textwrap.shorten(str(name), MAX_NAME, placeholder=" ...")
         for name in (facts.get("log_name"), simulator)

@@ -8,6 +8,7 @@ left out), ``estimators.findings`` (what estimators warn of), ``.rewards`` and
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -77,18 +78,17 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     ),
 }
 # the corrected rows of a continuous task, with the last actions in its state or without
-CONTINUOUS_ROWS = tuple(
-    f"oee ({fitted}residual{actions})"
-    for fitted in ("", "parameters, ")
-    for actions in ("", ", last action", *(f", last {k} actions" for k in range(1, 10)))
+CONTINUOUS_ROW = re.compile(
+    r"oee \((parameters, )?residual(, last (action|\d+ actions))?\)"
 )
 OF_SIMULATOR = "the simulator alone"
+OF_BOTH = "the simulator, corrected by the log"
 # the same, where the log cannot say how far the target is from it
 NOT_OF_TARGET = "the simulator alone: not the target"
 # what the rows of a usual report rest on
 DEFAULT_ROWS: Mapping[str, str] = {
     "simulator": OF_SIMULATOR,
-    "oee": "the simulator, corrected by the log",
+    "oee": OF_BOTH,
     "oee-tied": "the same, with shared ratios",
     "oee-features": "the same, along the features",
     "model-based": "the log alone",
@@ -96,14 +96,11 @@ DEFAULT_ROWS: Mapping[str, str] = {
     "wpdis": "the log's episodes, weighted",
     "trials": "the trials alone",
     "oee+trials": "simulator, log and trials",
-    **dict.fromkeys(CONTINUOUS_ROWS, "the simulator, corrected by the log"),
     "linear model of the log": "the log alone",
     "simulator (continuous)": OF_SIMULATOR,
 }
 # the rows whose value is that of a corrected simulator
-CORRECTED_ROWS = frozenset(
-    {"oee", "oee-tied", "oee-features", "oee+trials", *CONTINUOUS_ROWS}
-)
+CORRECTED_ROWS = frozenset({"oee", "oee-tied", "oee-features", "oee+trials"})
 # stands above the command that plans the next recording
 PLANNED = "A plan for as many transitions as the log has:"
 NOT_USABLE = "do not rely on this value (--verbose says why)"
@@ -205,6 +202,22 @@ class Answer:
 
 
 # numbers
+
+
+def is_of_correction(estimator: str) -> bool:
+    """Return whether a row's value is that of a corrected simulator.
+
+    >>> [is_of_correction(f"oee{x}") for x in ("", " (residual, last 12 actions)", "?")]
+    [True, True, False]
+    """
+    return estimator in CORRECTED_ROWS or bool(CONTINUOUS_ROW.fullmatch(estimator))
+
+
+def write_basis(estimator: str) -> str:
+    """Say what the value of a row rests on; "" for estimators of one's own."""
+    if CONTINUOUS_ROW.fullmatch(estimator):
+        return OF_BOTH
+    return DEFAULT_ROWS.get(estimator, "")
 
 
 def format_number(value: float | None, digits: int = 4) -> str:
@@ -443,9 +456,9 @@ def verdict_on_simulator(
             each = "those of the one tested state-action pair do so"
         return (
             "The target differs from the simulator. The recorded transitions show it:"
-            f" {each} by {'itself' if rejected == 1 else 'themselves'}. All of them"
-            " together do not: over the whole log, outcomes that are likely in the"
-            f" simulator are about as frequent as it says (z = {z:.1f})."
+            f" {each} by {'itself' if rejected == 1 else 'themselves'}. The test of"
+            " the whole log does not show it: outcomes that are likely in the simulator"
+            f" are about as frequent as it says (z = {z:.1f})."
         )
     sign = "less" if z < 0 else "even more"
     whole = (

@@ -110,14 +110,26 @@ def test_the_command_for_a_table_in_place_of_a_simulator_works(run, folder, own)
     )
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "state;action;next_state;probability;reward\n0;0;1;1;0\n",
+        "",
+        "state,action,next_state\n0,0,1\n",
+        "state_0,state_1,action,next_state_0,next_state_1\n0,0,1,1,0\n",
+        "a,b\n0,1\n",
+    ],
+)
+def test_columns_are_asked_for_only_where_names_are_what_is_missing(run, folder, text):
+    (folder / "-t.csv").write_text(text)
+    told = run("evaluate --simulator=-t.csv --log log.csv", code=2)
+    assert "oee export ./-t.csv --initial STATE" in told
+
+
 def test_a_table_of_two_columns_may_be_a_policy(run, folder):
     rows = {"wo": ["r0c0", "r0c1"], "was": ["n", "e"]}
     pd.DataFrame(rows).to_csv("pi.csv")
     assert "a policy's has state and action" in run("info pi.csv", code=2)
-    pd.DataFrame(rows).rename(columns={"was": "action"}).to_csv("pi.csv")
-    assert run("info pi.csv").startswith("policy: 2 rows of 2 states and 2 actions")
-    told = run("info pi.csv --column state=wo --column action=action", code=2)
-    assert "--column must be left out for 'pi.csv', which holds a policy" in told
 
 
 def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder):

@@ -457,7 +457,11 @@ def outcome(make, source):
         log = make(source)
     except ValueError as error:
         words = re.sub(r"^(frame|'[^']*'): ", "", str(error))
-        return re.sub(r" \(to leave such rows out [^)]*\), [^)]*\)", "", words)
+        return re.sub(
+            r" \((make sure first [^;]*; )?to leave such rows out [^)]*\), [^)]*\)",
+            "",
+            words,
+        )
     return {label: str(column.tolist()) for label, column in log.columns().items()}
 
 

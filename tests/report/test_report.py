@@ -536,8 +536,8 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.verdict_on_simulator(0.52, 3, 40, is_rejected=False),
             (
                 "The target differs from the simulator. The recorded transitions show"
-                " it: 3 of the 40 tested state-action pairs do so by themselves. All of"
-                " them together do not: over the whole log, outcomes that are likely in"
+                " it: 3 of the 40 tested state-action pairs do so by themselves. The"
+                " test of the whole log does not show it: outcomes that are likely in"
                 " the simulator are about as frequent as it says (z = 0.5)."
             ),
         ),
@@ -809,3 +809,32 @@ def test_facts_of_any_kind_are_written(report, tmp_path):
     written = json.loads((tmp_path / "report.json").read_text())["facts"]
     assert written["shape"] == [0, 1, 2]
     assert "(3, 3)" in written["rows"]
+
+
+@pytest.mark.parametrize("odd", ["text", [1, "b"], {"a": 1}, None, math.nan, 3.5, True])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["task", "transitions", "source"],
+        ["policy_names"],
+        ["policy_names", "simulator_name"],
+        ["policy_names", "simulator_name", "log_name"],
+        ["policy_names", "simulator_name", "log_files", "column_options"],
+        ["simulator_name", "action_noise"],
+    ],
+)
+def test_facts_of_a_user_s_own_are_no_facts_of_the_package(odd, names):
+    """Whatever a user calls them, and of whatever form they are."""
+    if "action_noise" in names:
+        facts = {"simulator_name": odd, "action_noise": 0.1}
+    else:
+        facts = dict.fromkeys(names, odd)
+    pair = oee.testing.case("ragged")
+    report = oee.evaluate(
+        pair.problem(100, seed=0), pair.policy, estimators="oee", facts=facts, seed=0
+    )
+    text = report.to_text()
+    report.to_text(verbose=True)
+    assert {name: report.facts[name] for name in names} == facts or odd != odd
+    if names[0] == "task":
+        assert "(4 states)" in " ".join(text.split())

@@ -859,6 +859,8 @@ def test_rows_are_on_the_disk_before_the_next_student_is_graded(tmp_path):
         [sys.executable, str(FOLDER / "grade.py"), "submitted", "--output", "g.csv"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(FOLDER.parents[1])},
+        # children of a background job would ignore it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         stdout=subprocess.PIPE,
         text=True,
     )

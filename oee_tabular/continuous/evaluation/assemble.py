@@ -26,6 +26,7 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.report import (
     Report,
     Result,
+    Source,
     Uncertainty,
     choose_interval,
     evaluate,
@@ -118,8 +119,6 @@ def assemble_rows(
     facts = {
         "simulator": f"{prepared.simulator.name}, without cells",
         "log": repr(prepared.given_log),
-        "task": prepared.simulator.name,
-        "transitions": len(prepared.given_log),
         **layout.facts,
     }
     report = _report_rows(
@@ -139,7 +138,8 @@ def assemble_rows(
         distance=sentences.distance, caveat=caveat, unanswered=unanswered
     )
     messages = (*report.warnings, *sentences.messages)
-    return replace(report, warnings=messages, uncertainty=uncertainty)
+    source = Source(prepared.simulator.name, len(prepared.given_log))
+    return replace(report, warnings=messages, uncertainty=uncertainty, source=source)
 
 
 def assemble_on_cells(
