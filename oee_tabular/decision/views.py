@@ -26,11 +26,15 @@ TITLES = {
 
 
 def write_number(number: float, *others: float) -> str:
-    """Write a gain with as many digits as its distance from others asks for."""
+    """Write a gain with as many digits as its distance from others asks for.
+
+    One that is not 0 is not written as 0: a decision rests on its sign.
+    """
     if not math.isfinite(number):
         return "-"
     known = [x for x in (number, *others) if math.isfinite(x)]
-    return format(number, _printing.spec(min(known), max(known)))
+    text = format(number, _printing.spec(min(known), max(known)))
+    return f"{number:.1g}" if number and not float(text) else text
 
 
 def write_count(number: int) -> str:

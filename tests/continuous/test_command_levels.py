@@ -249,6 +249,34 @@ def test_earlier_commands_between_actions_are_shares_of_them(steps):
     assert_allclose(moved[1][has_last], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("levels", [3, 5])
+@pytest.mark.parametrize("limit", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("steps", [1, 2])
+def test_commands_at_their_limit_are_no_stops_of_earlier_actions(levels, limit, steps):
+    """Many commands of exactly the same size look as rows at a wall do. Still each row
+    counts, and no remembered action differs from what the log says it was.
+    """
+    rng = np.random.default_rng(steps)
+    n = 900
+    commands = np.clip(1.5 * rng.standard_normal((n, 1)), -limit, limit)
+    places = np.zeros((n + 1, 1))
+    for t in range(n):
+        gust = 0.01 * rng.standard_normal()
+        places[t + 1] = 0.9 * places[t] + 0.1 * (commands[t] + 0.3) + gust
+    log = oee.ContinuousTransitions(
+        places[:-1], commands, places[1:], -(commands[:, 0] ** 2), episode=np.zeros(n)
+    )
+    task = HistoryTask(Slider(levels), steps)
+    corrected = ResidualSimulator(task, task.log(log), seed=0)
+    assert np.abs(corrected.left_over[:, 1 : task.n_state]).max() < 1e-12
+    states = np.column_stack([places[:50], np.tile(np.eye(levels)[-1], (50, steps))])
+    for a in range(levels):
+        moved = corrected.step(states, np.full(50, a), rng).next_state
+        assert_array_equal(
+            moved[:, 1 : 1 + levels], np.tile(np.eye(levels)[a], (50, 1))
+        )
+
+
 def test_a_shared_command_pays_the_mean_of_what_its_actions_pay():
     """In place of what the action next to it pays; that of no share pays its own."""
     task = Slider(3)

@@ -684,11 +684,12 @@ def test_a_stop_of_another_place():
 # ---------------------------------------------------------------- what is a stop
 
 
-def found(following, own=None, is_angle=None):
-    no_angles = np.zeros(following.shape[1], dtype=bool)
+def found(following, own=None, is_angle=None, is_memory=None):
+    none = np.zeros(following.shape[1], dtype=bool)
     own = following if own is None else own
-    angles = no_angles if is_angle is None else np.array(is_angle)
-    return find_stops(np.zeros_like(following), following, own, angles)
+    angles = none if is_angle is None else np.array(is_angle)
+    memory = none if is_memory is None else np.array(is_memory)
+    return find_stops(np.zeros_like(following), following, own, angles, memory)
 
 
 def moved(wall=1.0, still=True, n=2000):
@@ -715,6 +716,18 @@ def test_angles_and_numbers_have_no_stops():
     assert np.isinf(found(few).target).all()
     many = moved(wall=0.2)  # most rows are at the walls
     assert np.isinf(found(many).target).all()
+
+
+def test_last_actions_have_no_stops_and_are_not_held():
+    """A command at its limit repeats a value exactly, as a wall does."""
+    values = moved()
+    assert found(values, is_memory=[True, False]).held == {}
+    assert np.isinf(found(values, is_memory=[True, False]).bounds).all()
+    # all rows at the wall have the same last action; others may reach it as well
+    alike = np.column_stack([values, values[:, 0] > 0, values[:, 0] < 0])
+    both = found(alike, is_memory=[False, False, True, True]).held
+    assert both == {(0, 0): ([1], [0.0]), (1, 0): ([1], [0.0])}
+    assert list(found(alike).held[1, 0][0]) == [1, 2, 3]
 
 
 def test_the_simulator_s_stop_is_the_target_s_where_the_log_does_not_pass_it():

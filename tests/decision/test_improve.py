@@ -295,6 +295,18 @@ def test_views_have_the_same_numbers(deployed, recorded, tmp_path):
     assert "A title" in deployed.to_html(title="A title")
 
 
+@pytest.mark.parametrize("end", [-4.8e-4, -0.004, -2e-9])
+def test_an_end_that_is_not_zero_is_not_written_as_zero(recorded, end):
+    """A loss "of 0.00" says neither that there may be one nor how little it is."""
+    shown = replace(recorded.candidates[0], gain_lower=end)
+    whole = replace(
+        recorded, candidates=(shown,), gain_lower=end, name=shown.name, gain=shown.gain
+    )
+    assert f"it may lose {-end:.1g} (" in whole.sentence
+    row = next(line for line in str(whole).splitlines() if line.startswith(shown.name))
+    assert row.split()[-1] == f"{end:.1g}"
+
+
 def test_a_result_says_what_it_decides(deployed):
     with pytest.raises(ValueError, match="decision must be 'deploy'"):
         replace(deployed, decision="keep")

@@ -274,11 +274,13 @@ class ResidualSimulator(DerivedTask):
         self._wraps = (self._periods > 0) & is_inside.all(axis=0)
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
+        is_memory = np.zeros(self.n_state, dtype=np.bool_)
         if isinstance(task, HistoryTask):
             self._range = count_whole_actions(task, *self._range)
+            is_memory[task.task.n_state :] = True
         self.units = other_units(task, log, actions, self._periods)
         self._stops = find_stops(
-            log.state, log.next_state, step.next_state, self._periods > 0
+            log.state, log.next_state, step.next_state, self._periods > 0, is_memory
         )
         self._known_ends = np.concatenate([log.terminated, own.terminated])
         self._known_rewards = np.concatenate(

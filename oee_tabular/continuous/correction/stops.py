@@ -88,7 +88,11 @@ Pushes = Mapping[tuple[int, int], Array]
 
 
 def find_stops(
-    states: Array, following: Array, own: Array, is_angle: BoolArray
+    states: Array,
+    following: Array,
+    own: Array,
+    is_angle: BoolArray,
+    is_memory: BoolArray,
 ) -> Stops:
     """Find the stops of the target and of the simulator.
 
@@ -102,15 +106,18 @@ def find_stops(
         The simulator's next states from there.
     is_angle : ndarray of bool, shape (d,)
         Which coordinates are angles, which have no stops.
+    is_memory : ndarray of bool, shape (d,)
+        Which coordinates are last actions. They have no stops and are not held: a
+        command at its limit repeats a value exactly, as a wall does.
 
     Returns
     -------
     Stops
         The stops.
     """
-    bounds = _extremes(following)
-    of_target = _find(following, bounds, is_angle)
-    of_simulator = _find(own, _extremes(own), is_angle)
+    bounds = _extremes(following, is_memory)
+    of_target = _find(following, bounds, is_angle, is_memory)
+    of_simulator = _find(own, _extremes(own, is_memory), is_angle, is_memory)
     least = following.min(axis=0)
     most = following.max(axis=0)
     # a stop of the simulator that no row of the log passes is the target's as well
@@ -120,7 +127,7 @@ def find_stops(
     reach = np.maximum(
         np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0)
     )
-    held = _group_stops(of_target, np.concatenate([following, own]))
+    held = _group_stops(of_target, np.concatenate([following, own]), is_memory)
     return Stops(bounds, of_target, of_simulator, reach, held)
 
 
@@ -197,18 +204,21 @@ def _side(stops: Array, values: Array) -> IntArray:
     return np.asarray((values >= stops[1]).astype(np.int64) - (values <= stops[0]))
 
 
-def _extremes(values: Array) -> Array:
+def _extremes(values: Array, is_memory: BoolArray) -> Array:
     """Return the least and the most (2, d) of each coordinate that varies.
 
-    They are infinite where fewer than ``MIN_ROWS`` rows end there.
+    They are infinite for last actions, and where fewer than ``MIN_ROWS`` rows end
+    there.
     """
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
     n_rows = (values == ends[:, None]).sum(axis=1)
-    is_stop = (n_rows >= MIN_ROWS) & (values.std(axis=0) > 0)
+    is_stop = (n_rows >= MIN_ROWS) & (values.std(axis=0) > 0) & ~is_memory
     return np.where(is_stop, ends, [[-np.inf], [np.inf]])
 
 
-def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
+def _find(
+    values: Array, extremes: Array, is_angle: BoolArray, is_memory: BoolArray
+) -> Array:
     """Return the extremes that are stops.
 
     A coordinate with a stop is no angle, and takes more values between its stops than
@@ -222,7 +232,7 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
         between = values[_side(extremes[:, [i]], values[:, [i]])[:, 0] == 0, i]
         if is_angle[i] or len(np.unique(between)) ** 2 <= len(values):
             stops[:, i] = none[:, i]
-    held = _group_stops(stops, values)
+    held = _group_stops(stops, values, is_memory)
     for at in zip(*np.nonzero(np.isfinite(stops)), strict=True):
         if at not in held:
             stops[at] = none[at]
@@ -231,12 +241,15 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
     return stops
 
 
-def _group_stops(stops: Array, values: Array) -> dict[tuple[int, int], Held]:
+def _group_stops(
+    stops: Array, values: Array, is_memory: BoolArray
+) -> dict[tuple[int, int], Held]:
     """Return what is exactly alike in all rows at a stop, by side and coordinate."""
     held = {}
+    can_be_held = (values.std(axis=0) > 0) & ~is_memory
     for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):
         rows = values[values[:, i] == stops[side, i]]
-        alike = np.flatnonzero((rows == rows[0]).all(axis=0) & (values.std(axis=0) > 0))
+        alike = np.flatnonzero((rows == rows[0]).all(axis=0) & can_be_held)
         others = alike[alike != i]
         if len(others):
             held[int(side), int(i)] = Held(others, rows[0, others])
