@@ -1,6 +1,6 @@
 """Grade students' notebooks without nbgrader, by the tests of ``source``.
 
-python notebooks/assignments/grade.py submitted --output grades.csv
+python notebooks/assignments/grade.py submitted --output points.csv
 
 A folder has one folder for each student, with that student's notebooks in it or in
 folders of the assignments, as nbgrader has them: ``submitted/anna/risk.ipynb`` or
@@ -204,6 +204,7 @@ def merge(submitted, source):
 def run(path):
     """Run the cells of stdin; write a line of JSON before and after each into a file."""
     names = {"__name__": "__main__"}
+    broken = ""  # what the last cell of the student raised
     with open(path, "w", encoding="utf-8") as results:
 
         def say(*what):
@@ -220,6 +221,11 @@ def run(path):
                 exec(compile(code, name or "cell", "exec"), names)
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 message = f"{type(error).__name__}: {error}"
+                if points is None:
+                    broken = f"code cell {number + 1} raised {message}"
+                elif isinstance(error, NameError) and broken:
+                    # what is missing here was to be defined there
+                    message = f"{first_line(message)} ({first_line(broken)})"
             if points is not None:
                 say("tested", name, message)
 
@@ -276,9 +282,12 @@ def grade(path, source, seconds=SECONDS):
 class Table:
     """A CSV file whose rows are on the disk as soon as they are written."""
 
-    def __init__(self, path, columns):
+    def __init__(self, path, columns, *, overwrite):
         """Open the file and write its first line; without a path do nothing."""
-        self.file = path.open("w", encoding="utf-8", newline="") if path else None
+        self.file = None
+        if path:
+            mode = "w" if overwrite else "x"
+            self.file = path.open(mode, encoding="utf-8", newline="")
         self.write(columns)
 
     def write(self, row):
@@ -363,6 +372,9 @@ def main():
         "--tests", type=Path, help="Write a row for each test to this CSV file."
     )
     parser.add_argument(
+        "--overwrite", action="store_true", help="Replace tables that exist."
+    )
+    parser.add_argument(
         "--seconds", type=float, default=SECONDS, help="Time for one notebook."
     )
     parser.add_argument("--run", help=argparse.SUPPRESS)
@@ -376,12 +388,13 @@ def main():
         parser.error(f"--seconds must be above 0; it is {options.seconds:g}")
     try:
         paths = find_notebooks(options.files)
+        wanted = ((options.output, COLUMNS), (options.tests, TEST_COLUMNS))
+        for path, _ in wanted:  # before one of the two is made
+            if path and path.exists() and not options.overwrite:
+                parser.error(f"{path} exists; --overwrite replaces it")
         tables = [
-            Table(path, columns)
-            for path, columns in (
-                (options.output, COLUMNS),
-                (options.tests, TEST_COLUMNS),
-            )
+            Table(path, columns, overwrite=options.overwrite)
+            for path, columns in wanted
         ]
     except ValueError as error:
         parser.error(str(error))

@@ -32,9 +32,11 @@ def write_number(number: float, *others: float) -> str:
     """
     if not math.isfinite(number):
         return "-"
+    if number == 0.0:
+        return "0"
     known = [x for x in (number, *others) if math.isfinite(x)]
     text = format(number, _printing.spec(min(known), max(known)))
-    return f"{number:.1g}" if number and not float(text) else text
+    return text if float(text) else f"{number:.1g}"
 
 
 def write_count(number: int) -> str:
@@ -71,8 +73,8 @@ def write_sentence(found: Improvement) -> str:
     if found.plan is not None:
         plural = "s" if found.plan.n > 1 else ""
         advice = (
-            f" It takes about {write_count(found.plan.n)} planned transition{plural} or"
-            " more."
+            f" To certify a gain takes about {write_count(found.plan.n)} more"
+            f" transition{plural} or more, recorded as a plan says."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
@@ -108,24 +110,25 @@ def list_rows(found: Improvement) -> list[list[str]]:
 
 def write_notes(found: Improvement) -> list[str]:
     """Write what the numbers are, and what they assume."""
+    lower = (
+        "lower end: the least gain of all models that the log does not reject; a policy"
+        f" is deployed where it is above 0; {_write_assumption(found)}"
+    )
+    if any(each.optimism > 0.0 for each in found.candidates):
+        lower += (
+            "; for a policy that was made from this log, less what such a policy seems"
+            " to gain only because it was made from it (measured on policies that were"
+            " made from one half of the log and judged by the other)"
+        )
     notes = [
         *_explain_names(found),
         f"gain: value minus that of the running policy; {_printing.SUM}",
-        (
-            "lower end: the least gain of all models that the log does not reject;"
-            f" {_write_assumption(found)}"
-        ),
+        lower,
     ]
     if any(not math.isfinite(each.gain_lower) for each in found.candidates):
         notes.append(
             "-: no lower end for a policy that was made from the log's own counts;"
             " certify it by another log, or by a part of this one (split)"
-        )
-    if any(each.optimism > 0.0 for each in found.candidates):
-        notes.append(
-            "a policy that was made from this log looks better on it than it is: by how"
-            " much was measured on policies made from one half of the log and judged by"
-            " the other, and its lower end is lowered by that"
         )
     if found.split is not None:
         notes.append(

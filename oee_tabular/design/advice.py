@@ -68,15 +68,19 @@ def advice_sentence(
         return NO_ADVICE
     state, action = pairs[0]
     n = counts[state, action]
-    # an interval assumes something of pairs without records, and may widen with the
-    # first of them; of what the model is sure it allows nothing else
-    why = "never recorded"
-    purpose = "To put data in place of an assumption"
+    pair = describe_pair(names, state, action)
+    is_sure = optimistic[state, action]
+    if n == 0 and not is_sure:
+        # the interval may even widen with the first record
+        return (
+            f"Record {pair} first: it was never recorded, so the interval rests on an"
+            " assumption about it."
+        )
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
-    if optimistic[state, action]:
-        why = f"{so_far}; the model has one outcome"
-        purpose = "To test what the model is sure of"
-    elif n > 0:
+    # of what the model is sure the interval allows nothing else
+    why = f"{so_far}; the model has one outcome"
+    purpose = "To test what the model is sure of"
+    if not is_sure:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
         shares = np.divide(
@@ -85,10 +89,9 @@ def advice_sentence(
             out=np.zeros_like(total),
             where=total > 0.0,
         )
-        why = f"{so_far}, {shares.mean():.0%} of the {of}'s variance"
+        why = f"{so_far}, {shares.mean():.0%} of the variance of the estimated {of}"
         purpose = "To narrow the interval"
-    pair = describe_pair(names, state, action)
-    return f"{purpose}, collect data on {pair} first ({why})."
+    return f"{purpose}, record {pair} first ({why})."
 
 
 def describe_pair(names: Names, state: int, action: int) -> str:

@@ -479,7 +479,8 @@ def join_trials(
     Returns
     -------
     JoinedTrials
-        Value, intervals, the test of log against trials, and what halves the interval.
+        Value, intervals, the test of log against trials, and what halves the
+        standard error.
 
     Raises
     ------

@@ -22,8 +22,8 @@ first order, with a correction for few trials: without a log the interval is Stu
 and Wilson's [1]. Returns that do not vary have the variance of the corrected simulator.
 
 *The least width.* No estimator of both has a variance below V = (1 / V_log + m / Var
-Y)^-1. From it follows what halves the interval: 3 Var Y / V more trials, or 3 n V_log /
-V more transitions, recorded as the n before.
+Y)^-1. From it follows what halves the standard error: 3 Var Y / V more trials, or 3 n
+V_log / V more transitions, recorded as the n before.
 
 *Contradiction.* 2 min l is a chi-square of one degree of freedom if log and trials are
 of one target. Where it rejects that, the interval reaches over both.
@@ -230,8 +230,8 @@ class JoinedTrials:
         ``trials``, would be as narrow: inf where the joined interval is a point, nan
         where it has no ends.
     more_trials : float or None
-        The number of further trials that halve the joined interval, by the bound; None
-        without a standard error.
+        The number of further trials that halve the value's standard error; None without
+        one. An interval that is not symmetric is halved by fewer or by more.
     more_transitions : float or None
         The number of further transitions, recorded as those of the log, that halve it.
 
@@ -616,7 +616,7 @@ def _describe(
     p_value: float,
     level: float,
 ) -> JoinedTrials:
-    """Put value, standard error, and what halves the interval beside the intervals."""
+    """Put value, standard error, and what halves it beside the intervals."""
     estimate, _ = estimate_with_rows(problem.without_trials, policy)
     error = estimate.standard_error
     has_error = error is not None and math.isfinite(error) and error > 0.0

@@ -436,15 +436,19 @@ def verdict_on_simulator(
         if left_out:
             names = _list([f"“{name}”" for name in left_out])
             one = len(left_out) == 1
-            each = f"Taken one by one, the {pairs} show"
+            each = (
+                f"None of the {pairs} differs significantly from the simulator by"
+                " itself, nor do likely outcomes over all of them (z ="
+                f" {z:.1f}, which misses differences that cancel)."
+            )
             if tested == 1:
-                each = "The one tested state-action pair shows"
+                each = (
+                    "The one tested state-action pair does not differ significantly"
+                    f" from the simulator (z = {z:.1f})."
+                )
             return (
-                f"{each} no significant difference from the simulator, and likely"
-                f" outcomes are as frequent as it says (z = {z:.1f}). Small differences"
-                " add up in the value, though: the"
-                f" {'interval' if one else 'intervals'} of {names}"
-                f" {'leaves' if one else 'leave'} out the simulator's value."
+                f"{each} Yet the simulator's value lies outside the"
+                f" {'interval' if one else 'intervals'} of {names}."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
@@ -470,8 +474,8 @@ def verdict_on_simulator(
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} It takes all of them to show it: none of the {pairs} has enough"
-            " transitions to show it alone, by a bound that holds for all pairs at once."
+            f"{whole} Only together do they show it: no single one of the {pairs} has"
+            " enough transitions, by a test that allows for looking at all of them."
         )
     if rejected == tested:
         return f"{whole} Each of the {pairs} differs surely by itself."
@@ -601,17 +605,18 @@ def both_sources(
 def worth_of_both(worth: float) -> str:
     """Say how many trials alone would give as narrow an interval, and of which kind."""
     return (
-        f"Together they are worth about {round_up(worth)} trials: as many alone would"
-        " have as narrow an interval, computed as in the row “trials”."
+        "Simulator, log and trials together are as precise as about"
+        f" {round_up(worth)} trials alone (by the width of an interval computed as in"
+        " the row “trials”)."
     )
 
 
-def halve_interval(trials: float, transitions: float) -> str:
-    """Say how many more trials, or transitions, halve the interval."""
+def halve_error(trials: float, transitions: float) -> str:
+    """Say how many more trials, or transitions, halve the standard error."""
     return (
-        f"To halve the interval takes about {round_up(trials)} more trials, or"
-        f" {round_up(transitions)} more transitions recorded as those of the log"
-        " (estimated from the least variance that is possible)."
+        f"About {round_up(trials)} more trials, or {round_up(transitions)} more"
+        " transitions recorded as those of the log, would halve the value's standard"
+        " error."
     )
 
 

@@ -350,12 +350,12 @@ def test_with_sensor_noise_no_value_is_stated():
     assert all(answer.lower is None for answer in answers.values())
     assert report.headline.startswith(
         "The log cannot say what the policies “near” and “far” are worth in the target:"
-        " the next state depends on more than the state and the action"
+        " the next state depends on more than the recorded state and action"
     )
     assert "worth about" not in report.headline
     assert "The value in front" not in str(report)
     told = " ".join(str(report).split())
-    assert "This is what sensor noise looks like" in told
+    assert "Sensor noise looks like this, because" in told
     # nothing looks like the answer, and a log in memory is told by its size
     assert told.count("the simulator alone: not the target") == 2
     assert re.search(r"recorded in the target \([0-9,]+ transitions\)", told)

@@ -147,7 +147,7 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
         # without the names of the files
         told.append(capsys.readouterr().out.partition("Made from")[0])
     assert told[0] == told[1]
-    assert "collect data on action " in " ".join(told[0].split())
+    assert "record action " in " ".join(told[0].split()).lower()
 
 
 def test_numbers_of_a_log_s_own_are_no_simulator_s():

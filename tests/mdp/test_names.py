@@ -129,7 +129,7 @@ def test_sentences_speak_names():
     )
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
     assert (
-        "To narrow the interval, collect data on action go in state ('room', 1)"
+        "To narrow the interval, record action go in state ('room', 1)"
         " first (3 transitions so far" in report.uncertainty.sentences[-1]
     )
     assert "('room', 1)" in report.to_html()
@@ -142,7 +142,7 @@ def test_sentences_speak_names():
     advice = oee.evaluate(
         oee.Problem(spaced, oee.Transitions([1], [0], [2])), [0] * 3, estimators=["oee"]
     ).uncertainty.next
-    assert "action “call in” in state “day shift” first (never recorded)." in advice
+    assert "action “call in” in state “day shift” first: it was never" in advice
 
 
 # ---- coordinates of states: their forms, and the displacements that transitions from

@@ -445,7 +445,7 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(
     assert typed[typed.index("--transitions") + 1] == "60"
     assert run_command(*typed[1:]) == 0
     lines = printed.splitlines()
-    advice = next(line for line in lines if "narrow the interval, collect" in line)
+    advice = next(line for line in lines if "narrow the interval, record" in line)
     advice = advice.removeprefix("- ")
     assert advice in capsys.readouterr().out
     assert advice.replace("'", "&#39;") in text

@@ -384,9 +384,8 @@ def test_what_was_never_recorded_comes_first():
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
     assert advice == (
-        "To put data in place of an assumption, collect data on action down in cell"
-        " (0, 0) first"
-        " (never recorded)."
+        "Record action down in cell (0, 0) first: it was never recorded, so the"
+        " interval rests on an assumption about it."
     )
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
     assert "One state-action pair was never recorded, and the policy spends " in answer
@@ -469,7 +468,7 @@ def test_a_certain_simulator_has_nothing_to_learn():
     far, advice = report.uncertainty.sentences
     assert "one possible next state in every recorded" in far
     assert (
-        advice == "To test what the model is sure of, collect data on action 0 in state"
+        advice == "To test what the model is sure of, record action 0 in state"
         " 0 first (1 transition so far; the model has one outcome)."
     )
     over = Problem(

@@ -111,7 +111,7 @@ def test_a_case_has_what_its_kind_says():
         is_possible = (simulator > 0) | (counts == 0)
         assert is_possible.all() == (kind.find("never makes") < 0)
         assert (simulator < 1e-5).any() == bool(
-            re.search("has zeros|1e-6|never", kind)
+            re.search("has zeros|1e-9|never", kind)
         ) or (kind in ("two pairs were never recorded", "nothing was recorded"))
         if "recorded" in kind:
             assert (counts.sum(axis=-1) == 0).any()
@@ -187,7 +187,8 @@ def arrays_of(result):
         (np.zeros((0, *array.shape)), r"it returns numbers of shape \(0,"),
         (array.astype(str), "of texts|the text"),
         (array.astype(complex), "complex number"),
-        (array.astype(object), "objects that are no numbers"),
+        (np.array([None] * array.size).reshape(array.shape), "objects that are no"),
+        (np.ma.masked_all(array.shape), "masked entries, which are no numbers"),
         (array.astype(str).tolist(), "of texts|the text"),
         (array.astype(bool), "must return .* it returns .*(True|False)"),
         ({"a": array}, "a dictionary"),
@@ -215,6 +216,39 @@ def test_a_result_of_another_kind_is_named_in_plain_words(exercise):
             assert re.search(words, said), said
         assert "Hint: " in said
         assert " a ndarray" not in said
+
+
+@pytest.mark.parametrize("exercise", ["2_support", "2_ratio", "2_counts", "1_risk"])
+def test_right_values_in_arrays_of_objects_or_without_dimension_are_right(
+    exercise, capsys
+):
+    """``np.frompyfunc`` gives objects; ``np.all`` of some arrays no bool."""
+    right = first_kind()[function_of(exercise)]
+
+    def answer(*arguments):
+        found = np.asarray(right(*arguments))
+        return found if found.dtype == bool else found.astype(object)
+
+    wrapped = eval(
+        f"lambda {', '.join(draw_case(exercise, 0))}: answer("
+        f"{', '.join(draw_case(exercise, 0))})",
+        {"answer": answer},
+    )
+    check(exercise, wrapped, cases=ALL_CASES)
+    assert "Right" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("exercise", ["2_ratio", "2_counts"])
+@pytest.mark.parametrize("most", [1e6, 1e7])
+def test_a_ratio_that_is_cut_however_late_is_refused(exercise, most):
+    right = first_kind()[function_of(exercise)]
+    name = "target" if exercise == "2_ratio" else "counts"
+    cut = eval(
+        f"lambda {name}, simulator: np.minimum(right({name}, simulator), {most})",
+        {"right": right, "np": np},
+    )
+    with pytest.raises(RefusedAnswer, match="is not cut"):
+        check(exercise, cut)
 
 
 @pytest.mark.parametrize("exercise", TASKS)
@@ -915,6 +949,27 @@ def test_bad_arguments_of_the_grader(tmp_path, arguments, said):
     assert found.returncode == 2
     assert said in found.stderr.replace("\n", " ")
     assert "Traceback" not in found.stderr
+
+
+def test_a_cell_that_does_not_run_is_named_where_its_function_is_missing(tmp_path):
+    """A missing bracket is not a missing name."""
+    changes = {"assignment_1_risk": "def risk(g, p, q):\n    return (q @ g"}
+    found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
+    why = r"NameError: name 'risk' is not defined \(code cell \d+ raised SyntaxError"
+    assert re.search(f"assignment_1_risk_visible: 0 of 1: {why}", found)
+
+
+def test_the_grader_replaces_no_table_unasked(tmp_path):
+    submission(tmp_path, {})
+    (tmp_path / "grades.csv").write_text("of nbgrader")
+    given = ("risk.ipynb", "--tests", "tests.csv", "--output", "grades.csv")
+    found = run_grade(*given, folder=tmp_path)
+    assert found.returncode == 2
+    assert "grades.csv exists; --overwrite replaces it" in found.stderr
+    assert (tmp_path / "grades.csv").read_text() == "of nbgrader"
+    assert not (tmp_path / "tests.csv").exists()
+    assert run_grade(*given, "--overwrite", folder=tmp_path).returncode == 0
+    assert table_of(tmp_path / "grades.csv")[0]["assignment"] == "assignment_1"
 
 
 def test_no_file_to_grade(tmp_path):

@@ -115,7 +115,7 @@ class Correction:
             share = self.learned.hidden_part / self.plain.hidden_part
             text = (
                 f"With the last {describe_count(self.steps)} in the state, {share:.0%}"
-                " of this dependence on the past is left."
+                " of this dependence on the past remains."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 

@@ -237,11 +237,13 @@ def hidden_state(learned: ResidualSimulator) -> str:
         text += f"{', '.join(same[:-1])} and {same[-1]}"
     else:
         text += same[0]
-    more = (
-        f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together:"
-        f" {effect.r_squared:.0%})"
-    )
-    return text + more if effect.r_squared > effect.lag_r_squared + 0.05 else text
+    text += " (a residual is what a step of the simulator leaves unexplained"
+    if effect.r_squared > effect.lag_r_squared + 0.05:
+        text += (
+            f"; the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together"
+            f" explain {effect.r_squared:.0%}"
+        )
+    return f"{text})"
 
 
 def _mean_near(

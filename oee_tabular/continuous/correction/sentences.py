@@ -20,8 +20,8 @@ def describe_flaw(learned: ResidualSimulator) -> str:
         return f"{UNITS}{learned.units}"
     effect = hidden_state(learned)
     return (
-        "the next state depends on more than the state and the action (hidden state):"
-        f" {effect}"
+        "the next state depends on more than the recorded state and action (hidden"
+        f" state): {effect}"
         if effect
         else "ok"
     )
@@ -81,10 +81,11 @@ def remedy(learned: ResidualSimulator, steps: int = 0) -> str:
     # what a sensor adds to one state is taken back in the next step
     if first.of == "residual" and first.lag == 1:
         return (
-            "This is what sensor noise looks like. Filter the states before they are"
-            " logged (a Kalman filter, or a mean over several samples), or take speeds"
-            " as differences over several steps. If the sensor is good, a slow actuator"
-            " or a quantity that is not recorded is the cause: record it."
+            "Sensor noise looks like this, because what it adds to one recorded state"
+            " is taken back in the next. Filter the states before they are logged (a"
+            " Kalman filter, or a mean over several samples), or take speeds as"
+            " differences over several steps. If the sensor is good, a slow actuator or"
+            " a quantity that is not recorded is the cause: record it."
         )
     return (
         "A slow actuator, a longer delay or a quantity that is not recorded may be the"

@@ -522,7 +522,10 @@ def describe_whole(
     if correction.is_trusted:
         found.append(correction.reason)
     else:
-        doubt = f"{correction.status}, so no correction of the simulator can be trusted"
+        doubt = (
+            f"{correction.status}, so neither a corrected simulator nor a model of the"
+            " log can be trusted"
+        )
     found.append(difference(compared))
     distance = tuple(sentence for sentence in found if sentence)
     return Sentences(distance, doubt, messages)

@@ -363,8 +363,11 @@ class Task:
         """Return the result as the kind that the right answer has, or refuse it."""
         why = ""
         if isinstance(right, bool):
-            kind, is_kind = "True or False", isinstance(result, bool | np.bool_)
-            if is_kind:
+            kind = "True or False"
+            is_array = isinstance(result, np.ndarray) and result.shape == ()
+            if isinstance(result, bool | np.bool_) or (
+                is_array and result.dtype == np.bool_
+            ):
                 return bool(result)
         elif isinstance(right, str):
             kind = " or ".join(repr(choice) for choice in self.choices)
@@ -534,6 +537,10 @@ def describe(value: Any) -> str:
         return "a generator; make an array of what it yields"
     if isinstance(value, dict):
         return "a dictionary"
+    if np.ma.is_masked(value):
+        return (
+            f"an array of shape {value.shape} with masked entries, which are no numbers"
+        )
     array = as_numbers(value)
     if array is not None:
         return f"numbers of shape {array.shape}"
@@ -569,7 +576,13 @@ def _describe_entries(value: Any) -> str:
 
 
 def as_numbers(value: Any) -> Array | None:
-    """Return real numbers as an array, and None for all else."""
+    """Return real numbers as an array, and None for all else.
+
+    Objects that are numbers, as some functions of numpy return them, are numbers; what
+    a masked array has masked is none.
+    """
+    if np.ma.is_masked(value):
+        return None
     if is_sparse(value):
         value = value.toarray()
     if not isinstance(value, int | float | list | tuple) and not hasattr(
@@ -580,4 +593,13 @@ def as_numbers(value: Any) -> Array | None:
         array = np.asarray(value)
     except Exception:  # a ragged list, or an object whose __array__ raises anything
         return None
+    if array.dtype.kind == "O" and all(map(_is_number, array.flat)):
+        return array.astype(float)
     return array.astype(float) if array.dtype.kind in "iuf" else None
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether an object is a real number, and not True or False."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(
+        value, bool
+    )

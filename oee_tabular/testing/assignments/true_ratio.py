@@ -179,8 +179,8 @@ RATIO_KINDS = (
         _is_rarely_simulated,
     ),
     Kind(
-        "probabilities of the simulator are 1e-6",
-        partial(_draw_tiny, size=TINY, is_tiny_in_target=False),
+        "probabilities of the simulator are 1e-9",
+        partial(_draw_tiny, size=MINUTE, is_tiny_in_target=False),
         "a ratio may be very large and is not cut; " + _NO_FLOOR,
         _is_rarely_simulated,
     ),
@@ -251,8 +251,8 @@ def _draw_impossible(rng: np.random.Generator) -> Arguments:
 
 
 def _draw_tiny_simulator(rng: np.random.Generator) -> Arguments:
-    """Draw a log with transitions to which the simulator gives 1e-6."""
-    pair = _draw_tiny(rng, size=TINY, is_tiny_in_target=False)
+    """Draw a log with transitions to which the simulator gives 1e-9."""
+    pair = _draw_tiny(rng, size=MINUTE, is_tiny_in_target=False)
     n = rng.integers(20, 40, size=pair["target"].shape[:2])
     counts = draw_counts(rng, n, pair["target"])
     return {"counts": counts, "simulator": pair["simulator"]}
@@ -294,7 +294,7 @@ COUNTS_KINDS = (
         " frequencies of its pair are not made larger.",
     ),
     Kind(
-        "probabilities of the simulator are 1e-6",
+        "probabilities of the simulator are 1e-9",
         _draw_tiny_simulator,
         "a ratio may be very large and is not cut; " + _NO_FLOOR,
         _is_rarely_simulated,
@@ -535,7 +535,6 @@ FROM_COUNTS = Task(
     solve=_ratio_from_counts,
     hint="the frequencies of a pair, counts / (sum of the pair's counts), take the place"
     " of the target, and are divided by the simulator's probabilities.",
-    tolerance=1e-6,
     mistakes=(
         Mistake(
             lambda counts, simulator: (
