@@ -3,12 +3,14 @@
     python tests/benchmarks/own_cart.py                       # 20 logs, some ten minutes
     python tests/benchmarks/own_cart.py --kind noise --logs 5
     python tests/benchmarks/own_cart.py --kind quiet --logs 5
+    python tests/benchmarks/own_cart.py --kind starts --logs 5
 
 The simulator has no friction and no wind, and a command acts at once. In the target the
 wheels rub, gusts push the load, and a command acts two steps later. The policy gives
 continuous commands. Its true value comes from 100 000 rollouts in the target. ``noise``
 adds sensor noise to the logged states; ``quiet`` records the policy itself from one
-start almost without noise.
+start almost without noise; ``starts`` does so from many starts, and writes the first
+of them into all episodes, as a recorder that notes the state before a reset.
 """
 
 import argparse
@@ -82,10 +84,12 @@ def controller(states):
     return np.clip(-(states @ gains), -FORCE, FORCE)[:, None]
 
 
-def run(n, rng, noise_of_commands, gust=0.25):
+def run(n, rng, noise_of_commands, gust=0.25, has_one_start=False):
     """Return states (T + 1, n, 4), commands (T, n) and rewards (T, n) in the target."""
     target = HangingLoad(friction=0.4, gust=gust)
     states = target.initial_states(n, rng)
+    if has_one_start:
+        states[:] = states[0]
     waiting = [np.zeros(n), np.zeros(n)]
     path, given, rewards = [states], [], []
     for _ in range(HORIZON):
@@ -103,8 +107,10 @@ def run(n, rng, noise_of_commands, gust=0.25):
 def record(kind, seed):
     """Return a log of the target."""
     rng = np.random.default_rng(seed)
-    if kind == "quiet":
-        path, commands, rewards = run(N_EPISODES, rng, 0.001, gust=0.001)
+    if kind in ("quiet", "starts"):
+        path, commands, rewards = run(
+            N_EPISODES, rng, 0.001, gust=0.001, has_one_start=kind == "quiet"
+        )
         path[0] = path[0, :1]
     else:
         path, commands, rewards = run(N_EPISODES, rng, 1.5)
@@ -131,11 +137,14 @@ def true_value(n=100_000, gust=0.25):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kind", choices=["plain", "noise", "quiet"], default="plain")
+    parser.add_argument(
+        "--kind", choices=["plain", "noise", "quiet", "starts"], default="plain"
+    )
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="the first log's seed")
     given = parser.parse_args()
-    truth, error = true_value(gust=0.001 if given.kind == "quiet" else 0.25)
+    is_quiet = given.kind in ("quiet", "starts")
+    truth, error = true_value(gust=0.001 if is_quiet else 0.25)
     print(f"true value {truth:.3f} (standard error {error:.3f})", flush=True)
     values, errors, held = [], [], []
     for seed in range(given.first, given.first + given.logs):

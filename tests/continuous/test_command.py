@@ -634,7 +634,7 @@ def test_the_whole_state_has_cells_of_its_own():
 def test_the_advice_says_where_a_cell_is():
     report = evaluated(LOG.first(500), grid="auto", episodes=200)[1]
     assert re.search(
-        r"data\s+on\s+action\s+\d\s+in\s+state\s+\d+\s+\(theta=[^)]*theta_dot=",
+        r"[Rr]ecord\s+action\s+\d\s+in\s+state\s+\d+\s+\(theta=[^)]*theta_dot=",
         str(report),
     )
 

@@ -277,6 +277,26 @@ def test_commands_at_their_limit_are_no_stops_of_earlier_actions(levels, limit, 
         )
 
 
+@pytest.mark.parametrize("noise", [0.1, 0.4])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_small_changes_of_a_command_show_a_delay(noise, steps):
+    """They stay next to one action, so that its number alone tells nothing of them."""
+    rng = np.random.default_rng(steps)
+    n = 3000
+    commands = 0.1 * np.sin(np.arange(n) / 9.0) + noise * rng.standard_normal(n)
+    commands = np.clip(commands, -0.9, 0.9)[:, None]
+    given = np.concatenate([np.zeros((steps, 1)), commands])[:n]
+    places = np.zeros((n + 1, 1))
+    for t in range(n):
+        places[t + 1] = 0.9 * places[t] + 0.1 * given[t] + 1e-4 * rng.normal()
+    log = oee.ContinuousTransitions(
+        places[:-1], commands, places[1:], -(commands[:, 0] ** 2), episode=np.zeros(n)
+    )
+    effect = ResidualSimulator(Slider(3), log, seed=0).coordinates[0].history
+    assert (effect.lag, effect.of) == (steps, "action")
+    assert effect.lag_r_squared > 0.3
+
+
 def test_a_shared_command_pays_the_mean_of_what_its_actions_pay():
     """In place of what the action next to it pays; that of no share pays its own."""
     task = Slider(3)

@@ -35,6 +35,7 @@ from oee_tabular.continuous.correction.sentences import (
     describe_history,
     difference,
 )
+from oee_tabular.continuous.correction.starts import odd_starts
 from oee_tabular.continuous.discretization.model import uniform_policy_of
 from oee_tabular.continuous.evaluation.on_cells import calibrated_row
 from oee_tabular.continuous.evaluation.rollouts import Rollouts, refuse_impossible
@@ -635,9 +636,108 @@ def test_values_that_cannot_be_are_refused(value, error, found):
             == f"{value:.4g} is impossible: a sum of 10 rewards is between 0 and 10"
         )
         assert estimate.interval is None
-    # rewards without bounds refuse no value
+    # rewards without bounds refuse no finite value
     same = refuse_impossible(raw, -np.inf, np.inf, 10)
     assert replace(same, bounds=None) == raw
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("bounds", [(0.0, 10.0), (-np.inf, np.inf)])
+def test_values_without_end_are_refused(value, bounds):
+    estimate = refuse_impossible(Estimate(value, 1.0, (0.0, 1.0)), *bounds, 10)
+    assert np.isnan(estimate.value)
+    assert estimate.interval is None
+    assert estimate.status == (
+        f"{value:.4g} is no finite number: the states grow without end"
+    )
+
+
+def test_an_interval_of_all_that_is_possible_has_no_value():
+    wide = Estimate(-30.0, 40.0, (-110.0, 50.0))
+    estimate = refuse_impossible(wide, 0.0, 10.0, 10)
+    assert np.isnan(estimate.value)
+    assert estimate.status == (
+        "-30 is a guess: its interval reaches over all that is possible (a sum of 10"
+        " rewards is between 0 and 10)"
+    )
+    # a value that is possible stays, and so does one whose interval leaves something
+    assert refuse_impossible(replace(wide, value=3.0), 0.0, 10.0, 10).value == 3.0
+    some = replace(wide, interval=(-110.0, 9.0))
+    assert refuse_impossible(some, 0.0, 10.0, 10).value == 0.0
+
+
+def test_where_the_corrected_value_is_refused_the_log_cannot_say(monkeypatch):
+    """The simulator's value alone is no answer to what is asked."""
+    monkeypatch.setattr(Rollouts, "estimate", lambda *given: Estimate(1e9))
+    report = evaluate_continuous(
+        SIMULATOR,
+        log_of(SIMULATOR, n=500),
+        {"one": cartpole_policy(0.4), "two": cartpole_policy(0.9)},
+        settings=Settings(episodes=50),
+        horizon=20,
+        seed=0,
+        estimators=["oee"],
+    )
+    for name in ("one", "two"):
+        assert (
+            f"The log cannot say what the policy “{name}” is worth in the target: in the"
+            " corrected simulator its value of 1e+09 is impossible: a sum of 20 rewards"
+        ) in report.headline
+    assert "worth about" not in report.headline
+    # the simulator's own value remains, as that
+    assert {answer.estimator for answer in report.answers} == {"simulator (continuous)"}
+
+
+# ---------------------------------------------------------------- where episodes begin
+
+
+def with_starts(log, shift, rows=None):
+    """The log with other first states; ``rows`` picks some of the episodes."""
+    first = np.unique(log.episode, return_index=True)[1]
+    first = first if rows is None else first[rows]
+    states = log.state.copy()
+    states[first] += shift[: len(first)]
+    return ContinuousTransitions(**log.columns() | {"state": states})
+
+
+@pytest.mark.parametrize("name", ["theta", "x"])
+@pytest.mark.parametrize("gravity", [10.0, 12.5])
+def test_first_states_that_do_not_fit_are_told(name, gravity):
+    """As a recorder writes them that notes the state before a reset."""
+    log = log_of(CartPole(gravity), n=3000)
+    k = SIMULATOR.state_names.index(name)
+    n = len(np.unique(log.episode))
+    shift = np.zeros((n, 4))
+    shift[:, k] = 0.2 * np.random.default_rng(0).standard_normal(n)
+    assert choose_correction(SIMULATOR, log, seed=0).is_trusted
+    chosen = choose_correction(SIMULATOR, with_starts(log, shift), seed=0)
+    assert not chosen.is_trusted
+    assert chosen.steps == 0
+    assert "the first rows of its episodes do not fit the others" in chosen.status
+    assert name in chosen.status
+    assert "leave its first row out" in chosen.advice(is_auto=True)
+
+
+def test_starts_that_are_only_few_or_only_hard_are_not_odd():
+    log = log_of(SIMULATOR, n=3000)
+    n = len(np.unique(log.episode))
+    size = np.full((n, 4), 0.3)
+    some = choose_correction(SIMULATOR, with_starts(log, size, slice(0, 1)), seed=0)
+    assert "first rows" not in some.status
+    # what second rows miss as well is no fault of the recorder
+    left = np.ones((len(log), 1))
+    first = np.unique(log.episode, return_index=True)[1]
+    assert odd_starts(log, left, np.zeros(1)) == 0.0
+    left[first] = 100.0
+    assert odd_starts(log, left, np.zeros(1)) > 0.9
+    assert odd_starts(log, left, np.full(1, 200.0)) == 0.0
+    left[first[4:]] = 1.0
+    assert odd_starts(log, left, np.zeros(1)) == 0.0
+    left[first] = 100.0
+    left[first + 1] = 90.0
+    assert odd_starts(log, left, np.zeros(1)) == 0.0
+    alone = ContinuousTransitions(**log.columns() | {"episode": None})
+    assert odd_starts(alone, left, np.zeros(1)) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,7 @@ class Correction:
         """Return whether at most a fifth of what is hidden is left."""
         return (
             not self.learned.units
+            and not self.learned.odd_starts.any()
             and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
         )
 
@@ -105,6 +106,11 @@ class Correction:
         """
         if self.is_trusted or self.learned.units:
             return ""
+        if self.learned.odd_starts.any():
+            return (
+                "The states of these rows may be those before a reset. Record the state"
+                " in which an episode begins, or leave its first row out."
+            )
         if not is_auto and self.steps <= MAX_LAG:
             return (
                 f"Use history auto, which tries up to {MAX_LAG} last actions in the"
@@ -205,7 +211,7 @@ def _add_history(
     if history != "auto":
         return learn(history) if history else plain, history
     hidden = [c.history for c in plain.coordinates if c.hidden]
-    if not hidden or plain.units:
+    if not hidden or plain.units or plain.odd_starts.any():
         return plain, 0
     first = max(hidden, key=lambda effect: effect.lag_r_squared)
     tried = {0: plain}

@@ -81,6 +81,7 @@ def history_effects(
     is_smooth: BoolArray,
     is_free: BoolArray,
     least: Array,
+    shares: Array | None = None,
 ) -> list[HistoryEffect]:
     """Compute what history explains of each coordinate's residual.
 
@@ -88,7 +89,9 @@ def history_effects(
     Linear regressions on the last five actions, the steps that the simulator makes
     under them, and the last five residuals are fitted on smooth rows (no contacts), and
     on the actions alone at all free rows (no stops), because a delay of a command that
-    rarely changes is a rare large residual too. There is no effect where fewer than 200
+    rarely changes is a rare large residual too. Commands between the task's actions
+    count by their ``shares`` (n, A) of them, as small changes of a command that stays
+    next to one action show a delay as well. There is no effect where fewer than 200
     rows follow another, or where what is explained is below ``least`` (k,) among the
     rows that were looked at: a few odd rows do not make it larger.
     """
@@ -98,8 +101,9 @@ def history_effects(
     best = [HistoryEffect()] * residuals.shape[1]
     if len(rows) < MIN_ROWS:
         return best
+    taken = np.eye(task.n_actions)[actions] if shares is None else shares
     # the last code stands for no action, as row -1 stands for no row
-    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
+    codes = np.vstack([taken, np.zeros(task.n_actions)])
     acted = _actions_then(task, log, actions, rows, earlier[rows], codes)
     for is_usable, has_residuals in ((is_smooth, True), (is_free, False)):
         is_used = is_usable[rows]

@@ -10,6 +10,8 @@ from scipy.spatial import cKDTree
 from oee_tabular.continuous.task.base import ContinuousTask
 from oee_tabular.typing import Array, IntArray
 
+FARTHEST = 1e4  # deviations, beyond which states count as there
+
 
 class Neighbors:
     """States (n, d) of a task among which the nearest are looked for.
@@ -21,7 +23,7 @@ class Neighbors:
         places = task.smooth(states)
         self._task = task
         self._unit = np.maximum(places.std(axis=0), 1e-300)
-        self._places = places / self._unit
+        self._places = self._measure(places)
         self._trees: dict[Hashable, cKDTree] = {}
 
     def find(
@@ -33,5 +35,15 @@ class Neighbors:
         """
         if key not in self._trees:
             self._trees[key] = cKDTree(self._places[rows])
-        places = self._task.smooth(states) / self._unit
+        places = self._measure(self._task.smooth(states))
         return np.asarray(rows[self._trees[key].query(places, k=k)[1]])
+
+    def _measure(self, places: Array) -> Array:
+        """Return places in their units, with finite squares of distances.
+
+        States that grow without end have none else, and neither has a coordinate that
+        was the same in all.
+        """
+        with np.errstate(over="ignore"):
+            measured = np.nan_to_num(places / self._unit)
+        return np.asarray(np.clip(measured, -FARTHEST, FARTHEST))

@@ -49,6 +49,7 @@ from oee_tabular.continuous.correction.scatter import (
     measure_scatter,
     root_mean_square,
 )
+from oee_tabular.continuous.correction.starts import odd_starts
 from oee_tabular.continuous.correction.stops import (
     find_stops,
     free_steps,
@@ -187,6 +188,9 @@ class ResidualSimulator(DerivedTask):
     units : str
         The columns that seem to be in another unit than the simulator's, and in which;
         "" where none does.
+    odd_starts : ndarray of shape (k,)
+        The share of the squares of ``left_over`` that the first rows of episodes make,
+        where they do not fit the other rows; 0 elsewhere.
 
     Raises
     ------
@@ -299,7 +303,7 @@ class ResidualSimulator(DerivedTask):
         )
         self._is_free = is_free
         self.n_disturbances = task.n_disturbances + int(self._scatter.drawn.any())
-        self.coordinates = self._describe(log, actions, is_smooth, is_free)
+        self.coordinates = self._describe(log, actions, shares, is_smooth, is_free)
 
     def _fit(
         self,
@@ -410,6 +414,7 @@ class ResidualSimulator(DerivedTask):
         self,
         log: ContinuousTransitions,
         actions: IntArray,
+        shares: Array | None,
         is_smooth: BoolArray,
         is_free: BoolArray,
     ) -> tuple[Coordinate, ...]:
@@ -427,6 +432,10 @@ class ResidualSimulator(DerivedTask):
         displaced = np.append(moved, reward_deviation)[: len(left)]
         effects = [HistoryEffect() for _ in left]
         least = MIN_HIDDEN_DEVIATIONS * displaced
+        # the first of the rows that have last actions has none, and is unlike others
+        self.odd_starts = np.zeros(len(left))
+        if not isinstance(self.task, HistoryTask):
+            self.odd_starts = odd_starts(log, self.left_over, least)
         if (left * scatter.drawn > least).any():
             effects = history_effects(
                 self.task,
@@ -437,6 +446,7 @@ class ResidualSimulator(DerivedTask):
                 is_smooth=is_smooth,
                 is_free=is_free,
                 least=least,
+                shares=shares,
             )
         coordinates = []
         names = (*self.state_names, "reward")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from oee_tabular.continuous.correction.hidden_state import (
     MAX_LAG,
     hidden_state,
@@ -14,16 +16,38 @@ UNITS = "the log's columns seem to be in another unit than the simulator's: "
 def describe_flaw(learned: ResidualSimulator) -> str:
     """Describe why a corrected simulator cannot be trusted, or return "ok".
 
-    The columns may be in other units, or history may explain the residuals.
+    The columns may be in other units, the first rows of episodes may not fit the
+    others, or history may explain the residuals.
     """
     if learned.units:
         return f"{UNITS}{learned.units}"
+    if starts := describe_starts(learned):
+        return starts
     effect = hidden_state(learned)
     return (
         "the next state depends on more than the recorded state and action (hidden"
         f" state): {effect}"
         if effect
         else "ok"
+    )
+
+
+def describe_starts(learned: ResidualSimulator) -> str:
+    """Describe in what the first rows of episodes do not fit the others, or return "".
+
+    All coordinates are named of which they make most of what is unexplained.
+    """
+    odd = np.flatnonzero(learned.odd_starts)
+    if len(odd) == 0:
+        return ""
+    names = [learned.coordinates[k].name for k in odd]
+    listed = names[0]
+    if len(names) > 1:
+        listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    return (
+        "the first rows of its episodes do not fit the others: they alone make"
+        f" {learned.odd_starts[odd].min():.0%} of what no smooth correction explains in"
+        f" {listed}"
     )
 
 

@@ -17,7 +17,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular.continuous.evaluation.on_cells import OnCells
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import GUESSED, MAX_GUESSED_SHARE
-from oee_tabular.continuous.evaluation.rows import ReportRow, Rows
+from oee_tabular.continuous.evaluation.rows import CORRECTED, ReportRow, Rows
 from oee_tabular.continuous.evaluation.simulator import Calibration
 from oee_tabular.continuous.task.base import StatePolicy
 from oee_tabular.continuous.task.episodes import MonteCarlo
@@ -36,6 +36,8 @@ from oee_tabular.report import (
     number_notes,
 )
 from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
+
+REFUSED = "in the corrected simulator its value of {}"
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,24 @@ def _doubt_values(report: Report, sentences: Sentences) -> tuple[str, tuple[str,
         log_cannot_say([name], GUESSED.format(f"{shares[name]:.0%}"))
         for name in guessed
     ]
+    for name, status in _refused_values(report).items():
+        if name not in guessed:
+            guessed.append(name)
+            caveats.append(log_cannot_say([name], REFUSED.format(status)))
     return " ".join(caveats), tuple(guessed)
+
+
+def _refused_values(report: Report) -> dict[str, str]:
+    """Return why policies have no value in the corrected simulator, by their names."""
+    first: dict[str, Result] = {}
+    for result in report.results:
+        if result.estimator.startswith(CORRECTED):
+            first.setdefault(result.policy, result)
+    return {
+        name: result.estimate.status
+        for name, result in first.items()
+        if "refused_value" in result.estimate.diagnostics
+    }
 
 
 def _evaluate_table(

@@ -314,23 +314,46 @@ def refuse_impossible(
     """Return the estimate without a value that no sum of the rewards can have.
 
     The status then says so in a sentence. A value that is beyond the bounds by at most
-    1.96 standard errors is put on the bound, and the interval to quote ends there;
-    ``scale`` multiplies values in the sentence.
+    1.96 standard errors is put on the bound, and the interval to quote ends there,
+    unless it reaches over all that is possible. ``scale`` multiplies values in the
+    sentence.
     """
     estimate = replace(estimate, bounds=(lowest, highest))
     value = estimate.value
+    shown, low, high = (x * scale for x in (value, lowest, highest))
+    possible = f"a sum of {horizon} rewards is between {low:.4g} and {high:.4g}"
+    if not np.isfinite(value):
+        return _without_value(
+            estimate,
+            f"{shown:.4g} is no finite number: the states grow without end",
+            value,
+        )
     bounds = [abs(bound) for bound in (lowest, highest) if np.isfinite(bound)]
     rounding = 1e-9 * max(bounds, default=0.0)
     nearest = float(np.clip(value, lowest, highest))
-    if not np.isfinite(value) or abs(nearest - value) <= rounding:
+    if abs(nearest - value) <= rounding:
         return estimate
     if abs(nearest - value) <= QUANTILE * (estimate.standard_error or 0.0):
-        return replace(estimate, value=nearest)
-    shown, low, high = (x * scale for x in (value, lowest, highest))
-    text = (
-        f"{shown:.4g} is impossible: a sum of {horizon} rewards is between {low:.4g}"
-        f" and {high:.4g}"
-    )
+        if not _covers(estimate.interval, lowest, highest):
+            return replace(estimate, value=nearest)
+        return _without_value(
+            estimate,
+            f"{shown:.4g} is a guess: its interval reaches over all that is possible"
+            f" ({possible})",
+            value,
+        )
+    return _without_value(estimate, f"{shown:.4g} is impossible: {possible}", value)
+
+
+def _covers(
+    interval: tuple[float, float] | None, lowest: float, highest: float
+) -> bool:
+    """Return whether an interval reaches over two bounds."""
+    return interval is not None and interval[0] <= lowest and interval[1] >= highest
+
+
+def _without_value(estimate: Estimate, text: str, value: float) -> Estimate:
+    """Return the estimate without its value; the status says why."""
     facts = estimate.diagnostics | {"refused_value": value}
     return replace(
         estimate,
