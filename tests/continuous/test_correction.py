@@ -684,6 +684,7 @@ def test_where_the_corrected_value_is_refused_the_log_cannot_say(monkeypatch):
             " corrected simulator its value of 1e+09 is impossible: a sum of 20 rewards"
         ) in report.headline
     assert "worth about" not in report.headline
+    assert "record with noise on the commands" in " ".join(str(report).split())
     # the simulator's own value remains, as that
     assert {answer.estimator for answer in report.answers} == {"simulator (continuous)"}
 

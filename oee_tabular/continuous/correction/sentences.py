@@ -46,8 +46,7 @@ def describe_starts(learned: ResidualSimulator) -> str:
         listed = f"{', '.join(names[:-1])} and {names[-1]}"
     return (
         "the first rows of its episodes do not fit the others: they alone make"
-        f" {learned.odd_starts[odd].min():.0%} of what no smooth correction explains in"
-        f" {listed}"
+        f" {learned.odd_starts[odd].min():.0%} of what is unexplained in {listed}"
     )
 
 

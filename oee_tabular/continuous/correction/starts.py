@@ -20,7 +20,7 @@ MIN_RATIO = 10.0
 
 
 def odd_starts(log: ContinuousTransitions, left_over: Array, least: Array) -> Array:
-    """Return the share of squares that first rows make of what a correction leaves.
+    """Return the share of squares that first rows make of what is unexplained.
 
     Parameters
     ----------

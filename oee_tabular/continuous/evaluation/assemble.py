@@ -38,6 +38,10 @@ from oee_tabular.report import (
 from oee_tabular.typing import Array, IntArrayLike, RealArrayLike, SeedNumbers
 
 REFUSED = "in the corrected simulator its value of {}"
+TOO_QUIET = (
+    "Most often the log's states and commands vary too little to fix the correction:"
+    " record with noise on the commands, and from several starts."
+)
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,9 @@ def assemble_rows(
     )
     caveat, unanswered = _doubt_values(report, sentences)
     uncertainty = Uncertainty(
-        distance=sentences.distance, caveat=caveat, unanswered=unanswered
+        distance=_describe_distance(report, sentences),
+        caveat=caveat,
+        unanswered=unanswered,
     )
     messages = (*report.warnings, *sentences.messages)
     source = Source(prepared.simulator.name, len(prepared.given_log))
@@ -199,7 +205,10 @@ def assemble_on_cells(
     uncertainty = replace(
         report.uncertainty,
         next=cells.add_features(report.uncertainty.next),
-        distance=(*sentences.distance, *report.uncertainty.distance),
+        distance=(
+            *_describe_distance(report, sentences),
+            *report.uncertainty.distance,
+        ),
         caveat=caveat,
         unanswered=unanswered,
     )
@@ -228,6 +237,13 @@ def _doubt_values(report: Report, sentences: Sentences) -> tuple[str, tuple[str,
             guessed.append(name)
             caveats.append(log_cannot_say([name], REFUSED.format(status)))
     return " ".join(caveats), tuple(guessed)
+
+
+def _describe_distance(report: Report, sentences: Sentences) -> tuple[str, ...]:
+    """Return how the target differs, behind what to do where a value is refused."""
+    if sentences.doubt or not _refused_values(report):
+        return sentences.distance
+    return (TOO_QUIET, *sentences.distance)
 
 
 def _refused_values(report: Report) -> dict[str, str]:
