@@ -27,7 +27,7 @@ def odd_starts(log: ContinuousTransitions, left_over: Array, least: Array) -> Ar
     log : ContinuousTransitions
         The log.
     left_over : ndarray of shape (n, k)
-        What the correction leaves of each row, for each of k targets.
+        What the simulator, or a correction, leaves of each row for each of k targets.
     least : ndarray of shape (k,)
         The root mean square up to which what is left matters to nobody.
 
