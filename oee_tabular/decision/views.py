@@ -73,8 +73,8 @@ def write_sentence(found: Improvement) -> str:
     if found.plan is not None:
         plural = "s" if found.plan.n > 1 else ""
         advice = (
-            f" To certify a gain takes about {write_count(found.plan.n)} more"
-            f" transition{plural} or more, recorded as a plan says."
+            f" To certify a gain takes at least about {write_count(found.plan.n)} more"
+            f" transition{plural}, recorded as a plan says."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
@@ -112,7 +112,8 @@ def write_notes(found: Improvement) -> list[str]:
     """Write what the numbers are, and what they assume."""
     lower = (
         "lower end: the least gain of all models that the log does not reject; a policy"
-        f" is deployed where it is above 0; {_write_assumption(found)}"
+        " is deployed where it is above 0, because an end of 0 promises no gain;"
+        f" {_write_assumption(found)}"
     )
     if any(each.optimism > 0.0 for each in found.candidates):
         lower += (
