@@ -204,7 +204,7 @@ def merge(submitted, source):
 def run(path):
     """Run the cells of stdin; write a line of JSON before and after each into a file."""
     names = {"__name__": "__main__"}
-    broken = ""  # what the last cell of the student raised
+    broken = []  # (number, text, what it raised) of the student's cells
     with open(path, "w", encoding="utf-8") as results:
 
         def say(*what):
@@ -222,12 +222,20 @@ def run(path):
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 message = f"{type(error).__name__}: {error}"
                 if points is None:
-                    broken = f"code cell {number + 1} raised {message}"
-                elif isinstance(error, NameError) and broken:
-                    # what is missing here was to be defined there
-                    message = f"{first_line(message)} ({first_line(broken)})"
+                    broken.append((number + 1, code, message))
+                elif isinstance(error, NameError):
+                    message += where_missing(error.name, broken)
             if points is not None:
                 say("tested", name, message)
+
+
+def where_missing(name, broken):
+    """Return which broken cell was to define a name, in brackets; "" for none."""
+    defines = re.compile(rf"\bdef\s+{re.escape(name or '')}\b|^{name}\s*=", re.M)
+    for number, code, message in broken:
+        if name and defines.search(code):
+            return f" (code cell {number} raised {first_line(message)})"
+    return ""
 
 
 def stop(process):
@@ -286,7 +294,8 @@ class Table:
         """Open the file and write its first line; without a path do nothing."""
         self.file = None
         if path:
-            mode = "w" if overwrite else "x"
+            # a pipe or a terminal is no file that could be lost
+            mode = "w" if overwrite or (path.exists() and not path.is_file()) else "x"
             self.file = path.open(mode, encoding="utf-8", newline="")
         self.write(columns)
 
@@ -389,8 +398,13 @@ def main():
     try:
         paths = find_notebooks(options.files)
         wanted = ((options.output, COLUMNS), (options.tests, TEST_COLUMNS))
-        for path, _ in wanted:  # before one of the two is made
-            if path and path.exists() and not options.overwrite:
+        paths_asked = [path for path, _ in wanted if path]
+        if len({path.resolve() for path in paths_asked}) < len(paths_asked):
+            parser.error(f"--output and --tests must differ; both are {options.tests}")
+        for path in paths_asked:  # before one of the two is made
+            if not path.resolve().parent.is_dir():
+                parser.error(f"{path} cannot be written: No such file or directory")
+            if path.is_file() and not options.overwrite:
                 parser.error(f"{path} exists; --overwrite replaces it")
         tables = [
             Table(path, columns, overwrite=options.overwrite)

@@ -74,7 +74,7 @@ def write_sentence(found: Improvement) -> str:
         plural = "s" if found.plan.n > 1 else ""
         advice = (
             f" To certify a gain takes at least about {write_count(found.plan.n)} more"
-            f" transition{plural}, recorded as a plan says."
+            f" transition{plural}, recorded as oee plan proposes."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
@@ -117,9 +117,8 @@ def write_notes(found: Improvement) -> list[str]:
     )
     if any(each.optimism > 0.0 for each in found.candidates):
         lower += (
-            "; for a policy that was made from this log, less what such a policy seems"
-            " to gain only because it was made from it (measured on policies that were"
-            " made from one half of the log and judged by the other)"
+            "; for a policy that this log made, lowered by how much better such policies"
+            " look on the log that made them (measured on its halves)"
         )
     notes = [
         *_explain_names(found),

@@ -73,8 +73,8 @@ def advice_sentence(
     if n == 0 and not is_sure:
         # the interval may even widen with the first record
         return (
-            f"Record {pair} first: it was never recorded, so the interval rests on an"
-            " assumption about it."
+            f"Record {pair} first: it was never recorded, so what happens there is"
+            " assumed and not measured."
         )
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
     # of what the model is sure the interval allows nothing else

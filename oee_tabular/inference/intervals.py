@@ -480,7 +480,7 @@ def join_trials(
     -------
     JoinedTrials
         Value, intervals, the test of log against trials, and what halves the
-        standard error.
+        interval.
 
     Raises
     ------

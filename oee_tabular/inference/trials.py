@@ -22,8 +22,8 @@ first order, with a correction for few trials: without a log the interval is Stu
 and Wilson's [1]. Returns that do not vary have the variance of the corrected simulator.
 
 *The least width.* No estimator of both has a variance below V = (1 / V_log + m / Var
-Y)^-1. From it follows what halves the standard error: 3 Var Y / V more trials, or 3 n
-V_log / V more transitions, recorded as the n before.
+Y)^-1. Three times the trials that have as narrow an interval halve it, or as many
+transitions as bring as much: n V_log / Var Y for each trial, recorded as the n before.
 
 *Contradiction.* 2 min l is a chi-square of one degree of freedom if log and trials are
 of one target. Where it rejects that, the interval reaches over both.
@@ -230,8 +230,8 @@ class JoinedTrials:
         ``trials``, would be as narrow: inf where the joined interval is a point, nan
         where it has no ends.
     more_trials : float or None
-        The number of further trials that halve the value's standard error; None without
-        one. An interval that is not symmetric is halved by fewer or by more.
+        The number of further trials that halve the interval, about three times
+        ``worth``; by the bound where that is no number. None without a standard error.
     more_transitions : float or None
         The number of further transitions, recorded as those of the log, that halve it.
 
@@ -638,11 +638,14 @@ def _describe(
         of_log = float(error or 0.0) ** 2
         least = 1.0 / (1.0 / of_log + outcomes.number / variance)
         both = math.sqrt(least)
-        more_trials = 3.0 * variance / least
-        more_transitions = 3.0 * float(problem.counts.sum()) * of_log / least
+        as_precise = variance / least
     worth = math.nan
     if joined.status == "ok":
         worth = _count_as_narrow(outcomes, value, joined.width, level)
+    if both is not None:
+        more_trials = 3.0 * (worth if math.isfinite(worth) else as_precise)
+        per_trial = float(problem.counts.sum()) * of_log / variance
+        more_transitions = more_trials * per_trial
     return JoinedTrials(
         value,
         both,

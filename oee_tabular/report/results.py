@@ -319,7 +319,7 @@ class Report:
             - ``p_value``: p-value of the test that both are of one target.
             - ``worth``: number of trials alone with as narrow an interval.
             - ``more_trials``, ``more_transitions``: how many more of either halve the
-              standard error, or None.
+              interval, or None.
         """
         return make_trials(self)
 

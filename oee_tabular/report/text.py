@@ -438,8 +438,8 @@ def verdict_on_simulator(
             one = len(left_out) == 1
             each = (
                 f"None of the {pairs} differs significantly from the simulator by"
-                " itself, nor do likely outcomes over all of them (z ="
-                f" {z:.1f}, which misses differences that cancel)."
+                " itself, and over all of them likely outcomes are about as frequent"
+                f" as it says (z = {z:.1f}; this test misses differences that cancel)."
             )
             if tested == 1:
                 each = (
@@ -448,7 +448,8 @@ def verdict_on_simulator(
                 )
             return (
                 f"{each} Yet the simulator's value lies outside the"
-                f" {'interval' if one else 'intervals'} of {names}."
+                f" {'interval' if one else 'intervals'} of {names}, so the target"
+                f" differs in what {'this value depends' if one else 'these values depend'} on."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
@@ -606,17 +607,17 @@ def worth_of_both(worth: float) -> str:
     """Say how many trials alone would give as narrow an interval, and of which kind."""
     return (
         "Simulator, log and trials together are as precise as about"
-        f" {round_up(worth)} trials alone (by the width of an interval computed as in"
+        f" {count_up(worth, 'trial')} alone (by the width of an interval computed as in"
         " the row “trials”)."
     )
 
 
-def halve_error(trials: float, transitions: float) -> str:
-    """Say how many more trials, or transitions, halve the standard error."""
+def halve_interval(trials: float, transitions: float) -> str:
+    """Say how many more trials, or transitions, halve the interval."""
     return (
-        f"About {round_up(trials)} more trials, or {round_up(transitions)} more"
-        " transitions recorded as those of the log, would halve the value's standard"
-        " error."
+        f"About {count_up(trials, 'more trial')}, or"
+        f" {count_up(transitions, 'more transition')} recorded as those of the log,"
+        " would halve the interval."
     )
 
 
@@ -661,6 +662,12 @@ def round_up(number: float) -> str:
     whole = max(math.ceil(number), 1)
     size = 10 ** max(len(str(whole)) - 2, 0)
     return f"{math.ceil(whole / size) * size:,}"
+
+
+def count_up(number: float, noun: str) -> str:
+    """Write so many of something, as ``round_up`` writes the number."""
+    written = round_up(number)
+    return f"{written} {noun}" if written == "1" else f"{written} {noun}s"
 
 
 # the table

@@ -783,7 +783,7 @@ def _describe_trials(both: JoinedTrials, level: float, scale: float) -> str:
     if math.isfinite(both.worth) and not both.is_contradicted:
         sentences.append(text.worth_of_both(both.worth))
     if both.more_trials is not None and both.more_transitions is not None:
-        sentences.append(text.halve_error(both.more_trials, both.more_transitions))
+        sentences.append(text.halve_interval(both.more_trials, both.more_transitions))
     return " ".join(sentences)
 
 

@@ -356,7 +356,7 @@ def test_with_sensor_noise_no_value_is_stated():
     assert "worth about" not in report.headline
     assert "The value in front" not in str(report)
     told = " ".join(str(report).split())
-    assert "Sensor noise looks like this, because" in told
+    assert "Sensor noise looks like this: an error" in told
     # nothing looks like the answer, and a log in memory is told by its size
     assert told.count("the simulator alone: not the target") == 2
     assert re.search(r"recorded in the target \([0-9,]+ transitions\)", told)
@@ -717,6 +717,52 @@ def test_first_states_that_do_not_fit_are_told(name, gravity):
     assert "the first rows of its episodes do not fit the others" in chosen.status
     assert name in chosen.status
     assert "leave its first row out" in chosen.advice(is_auto=True)
+
+
+@pytest.mark.parametrize("history", [0, 1, 2])
+def test_a_history_that_is_given_hides_no_false_starts(history):
+    log = log_of(CartPole(12.5), n=3000)
+    shift = np.zeros((len(np.unique(log.episode)), 4))
+    shift[:, 2] = 0.2 * np.random.default_rng(0).standard_normal(len(shift))
+    wrong = with_starts(log, shift)
+    assert not choose_correction(SIMULATOR, wrong, history=history, seed=0).is_trusted
+
+
+def test_what_the_correction_explains_is_no_false_start():
+    """A damped system moves most where its episodes begin."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for episode in range(40):
+        place = rng.uniform(-1.0, 1.0)
+        for _ in range(50):
+            action = rng.integers(2)
+            after = 0.3 * place + 0.02 * (2 * action - 1) + 0.002 * rng.normal()
+            rows.append((place, action, after, episode))
+            place = after
+    columns = np.array(rows).T
+    log = ContinuousTransitions(
+        columns[0][:, None],
+        columns[1].astype(int),
+        columns[2][:, None],
+        0.0 * columns[0],
+        episode=columns[3],
+    )
+
+    class Damped(Line):
+        def moves(self, states, actions, disturbance):
+            after = 0.2 * states + 0.02 * (2 * actions[:, None] - 1)
+            return Moves(after, 0.0 * after[:, 0], np.zeros(len(after), dtype=bool))
+
+    assert choose_correction(Damped(), log, seed=0).is_trusted
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_a_delay_is_no_false_start(steps):
+    """Its queue is empty where an episode begins, so that first rows are unlike others."""
+    log = log_of(Delay(SIMULATOR, steps))
+    chosen = choose_correction(SIMULATOR, log, seed=0)
+    assert chosen.is_trusted
+    assert not chosen.learned.odd_starts.any()
 
 
 def test_starts_that_are_only_few_or_only_hard_are_not_odd():

@@ -191,14 +191,19 @@ def test_both_are_narrower_than_either():
     assert both.worth > 12
     assert not both.is_contradicted
     assert both.log == oee.interval(problem.without_trials, policy)
-    # the bound: with so many more, its standard error is half
-    se = both.standard_error
-    of_log = 1 / se**2 - 12 / both.variance
-    more = of_log + (12 + both.more_trials) / both.variance
-    assert more == pytest.approx(4 / se**2)
-    n = problem.counts.sum()
-    more = of_log * (1 + both.more_transitions / n) + 12 / both.variance
-    assert more == pytest.approx(4 / se**2)
+    # four times the trials that have as narrow an interval have half of it
+    assert both.more_trials == pytest.approx(3.0 * both.worth)
+    ends = [
+        joining.Outcomes(m, both.value, both.variance, np.inf, True).ends(0.95)
+        for m in (both.worth, both.worth + both.more_trials)
+    ]
+    widths = [upper - lower for lower, upper in ends]
+    assert widths[0] == pytest.approx(both.interval.width)
+    assert widths[1] == pytest.approx(widths[0] / 2, rel=0.05)
+    # by the bound as many transitions bring as much
+    of_log = 1 / both.standard_error**2 - 12 / both.variance
+    brought = of_log * both.more_transitions / problem.counts.sum()
+    assert brought == pytest.approx(both.more_trials / both.variance)
 
 
 def test_a_contradiction_is_said_and_not_averaged():
@@ -387,7 +392,7 @@ def test_a_report_states_both_first():
         assert rows[name]["lower"] == before[name]["lower"]
     words = " ".join(report.to_text(verbose=True).split())
     assert "The 12 trials alone say 0.75" in words
-    assert "would halve the value's standard error" in words
+    assert "would halve the interval." in words
     assert "Trials: 9 of 12 succeeded" in words
     content = json.loads(report.to_json())
     (row,) = content["trials"]

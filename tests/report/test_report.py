@@ -571,7 +571,8 @@ def test_what_a_policy_is_worth(changes, sentence):
             (
                 "The one tested state-action pair does not differ significantly from"
                 " the simulator (z = 0.0). Yet the simulator's value lies outside the"
-                " intervals of “mine” and “b”."
+                " intervals of “mine” and “b”, so the target differs in what these"
+                " values depend on."
             ),
         ),
         (

@@ -384,8 +384,8 @@ def test_what_was_never_recorded_comes_first():
     problem = Problem(SIMULATOR, log)
     *_, advice = sentences(problem)
     assert advice == (
-        "Record action down in cell (0, 0) first: it was never recorded, so the"
-        " interval rests on an assumption about it."
+        "Record action down in cell (0, 0) first: it was never recorded, so what"
+        " happens there is assumed and not measured."
     )
     answer = oee.evaluate(problem, {"mine": MINE}, estimators=["oee"]).headline
     assert "One state-action pair was never recorded, and the policy spends " in answer

@@ -189,6 +189,7 @@ def arrays_of(result):
         (array.astype(complex), "complex number"),
         (np.array([None] * array.size).reshape(array.shape), "objects that are no"),
         (np.ma.masked_all(array.shape), "masked entries, which are no numbers"),
+        (np.full(array.shape, 10**400, dtype=object), "objects that are no"),
         (array.astype(str).tolist(), "of texts|the text"),
         (array.astype(bool), "must return .* it returns .*(True|False)"),
         ({"a": array}, "a dictionary"),
@@ -957,6 +958,11 @@ def test_a_cell_that_does_not_run_is_named_where_its_function_is_missing(tmp_pat
     found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
     why = r"NameError: name 'risk' is not defined \(code cell \d+ raised SyntaxError"
     assert re.search(f"assignment_1_risk_visible: 0 of 1: {why}", found)
+    # what another cell raises has nothing to do with it
+    changes = {"assignment_1_risk": "1 / 0"}
+    found = run_grade(submission(tmp_path, changes), folder=tmp_path).stdout
+    assert "name 'risk' is not defined" in found
+    assert "ZeroDivisionError" not in found
 
 
 def test_the_grader_replaces_no_table_unasked(tmp_path):
@@ -968,6 +974,14 @@ def test_the_grader_replaces_no_table_unasked(tmp_path):
     assert "grades.csv exists; --overwrite replaces it" in found.stderr
     assert (tmp_path / "grades.csv").read_text() == "of nbgrader"
     assert not (tmp_path / "tests.csv").exists()
+    nowhere = ("risk.ipynb", "--output", "points.csv", "--tests", "no/tests.csv")
+    assert (
+        "no/tests.csv cannot be written" in run_grade(*nowhere, folder=tmp_path).stderr
+    )
+    assert not (tmp_path / "points.csv").exists()
+    twice = ("risk.ipynb", "--output", "a.csv", "--tests", "./a.csv", "--overwrite")
+    assert "must differ" in run_grade(*twice, folder=tmp_path).stderr
+    assert not (tmp_path / "a.csv").exists()
     assert run_grade(*given, "--overwrite", folder=tmp_path).returncode == 0
     assert table_of(tmp_path / "grades.csv")[0]["assignment"] == "assignment_1"
 

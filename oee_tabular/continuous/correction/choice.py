@@ -211,17 +211,20 @@ def _add_history(
     if history != "auto":
         return learn(history) if history else plain, history
     hidden = [c.history for c in plain.coordinates if c.hidden]
-    if not hidden or plain.units or plain.odd_starts.any():
+    is_odd = bool(plain.odd_starts.any())
+    if plain.units or not (hidden or is_odd):
         return plain, 0
-    first = max(hidden, key=lambda effect: effect.lag_r_squared)
+    least = 1
+    if hidden and not is_odd:  # what is odd at starts may be what a delay does there
+        first = max(hidden, key=lambda effect: effect.lag_r_squared)
+        least = first.lag if first.of == "action" else 1
     tried = {0: plain}
-    for steps in range(first.lag if first.of == "action" else 1, MAX_LAG + 1):
+    for steps in range(least, MAX_LAG + 1):
         tried[steps] = learn(steps)
         *before, last = (each.held_out_error**0.5 for each in tried.values())
         if min(before) - last < MIN_GAIN / 3.0:
             break
-    least = min(each.held_out_error for each in tried.values()) ** 0.5
-    most = least + MIN_GAIN
+    most = min(each.held_out_error for each in tried.values()) ** 0.5 + MIN_GAIN
     return next(
         (each, k) for k, each in tried.items() if each.held_out_error**0.5 <= most
     )

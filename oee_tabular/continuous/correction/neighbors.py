@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from oee_tabular.continuous.task.base import ContinuousTask
 from oee_tabular.typing import Array, IntArray
 
-FARTHEST = 1e4  # deviations, beyond which states count as there
+FARTHEST = 1e100  # deviations, beyond which states count as there
 
 
 class Neighbors:
@@ -22,7 +22,10 @@ class Neighbors:
     def __init__(self, task: ContinuousTask, states: Array) -> None:
         places = task.smooth(states)
         self._task = task
-        self._unit = np.maximum(places.std(axis=0), 1e-300)
+        with np.errstate(over="ignore"):
+            deviation = places.std(axis=0)
+        # a coordinate that was the same in all tells no row from another
+        self._unit = np.where(deviation > 0.0, deviation, 1.0)
         self._places = self._measure(places)
         self._trees: dict[Hashable, cKDTree] = {}
 
@@ -41,8 +44,7 @@ class Neighbors:
     def _measure(self, places: Array) -> Array:
         """Return places in their units, with finite squares of distances.
 
-        States that grow without end have none else, and neither has a coordinate that
-        was the same in all.
+        States that grow without end have none else.
         """
         with np.errstate(over="ignore"):
             measured = np.nan_to_num(places / self._unit)

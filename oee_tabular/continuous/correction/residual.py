@@ -189,8 +189,8 @@ class ResidualSimulator(DerivedTask):
         The columns that seem to be in another unit than the simulator's, and in which;
         "" where none does.
     odd_starts : ndarray of shape (k,)
-        The share of the squares of ``residuals`` or ``left_over`` that the first rows
-        of episodes make, where they do not fit the other rows; 0 elsewhere.
+        The share of the squares of ``left_over`` that the first rows of episodes make,
+        where they do not fit the other rows; 0 elsewhere.
 
     Raises
     ------
@@ -432,14 +432,7 @@ class ResidualSimulator(DerivedTask):
         displaced = np.append(moved, reward_deviation)[: len(left)]
         effects = [HistoryEffect() for _ in left]
         least = MIN_HIDDEN_DEVIATIONS * displaced
-        # the first of the rows that have last actions has none, and is unlike others
-        self.odd_starts = np.zeros(len(left))
-        if not isinstance(self.task, HistoryTask):
-            # a wrong start may be told by the command that the right one asked for
-            self.odd_starts = np.maximum(
-                odd_starts(log, self.residuals, least),
-                odd_starts(log, self.left_over, least),
-            )
+        self.odd_starts = odd_starts(log, self.left_over, least)
         if (left * scatter.drawn > least).any():
             effects = history_effects(
                 self.task,

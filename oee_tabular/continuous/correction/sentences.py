@@ -104,8 +104,8 @@ def remedy(learned: ResidualSimulator, steps: int = 0) -> str:
     # what a sensor adds to one state is taken back in the next step
     if first.of == "residual" and first.lag == 1:
         return (
-            "Sensor noise looks like this, because what it adds to one recorded state"
-            " is taken back in the next. Filter the states before they are logged (a"
+            "Sensor noise looks like this: an error in one recorded state makes two"
+            " steps wrong, in opposite directions. Filter the states before they are logged (a"
             " Kalman filter, or a mean over several samples), or take speeds as"
             " differences over several steps. If the sensor is good, a slow actuator or"
             " a quantity that is not recorded is the cause: record it."
@@ -133,7 +133,7 @@ def describe_history(
         return f"{text}." if describe_flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
     text += (
-        f", because {hidden_state(plain)}. The held-out one-step error falls from"
+        f", because {hidden_state(plain) or describe_starts(plain)}. The held-out one-step error falls from"
         f" {before} to {after} of a step's standard deviation."
     )
     if steps == MAX_LAG:

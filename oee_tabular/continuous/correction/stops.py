@@ -2,7 +2,6 @@
 
 A stop is found in the data by its repetition: many next states end at exactly the
 extreme of a coordinate, and something else is held there, as a speed is at a wall.
-They begin in different states: a step that is repeated ends where it ended.
 A free step differs smoothly from the target's; one that ends at a stop does not. So a
 correction passes the stops in four steps, each a pure function of what came before:
 
@@ -116,12 +115,9 @@ def find_stops(
     Stops
         The stops.
     """
-    # the same step taken twice ends at the same place twice, without a stop
-    once = np.unique(states, axis=0, return_index=True)[1]
-    bounds = _extremes(following, is_memory, once)
-    of_own = _extremes(own, is_memory, once)
+    bounds = _extremes(following, is_memory)
     of_target = _find(following, bounds, is_angle, is_memory)
-    of_simulator = _find(own, of_own, is_angle, is_memory)
+    of_simulator = _find(own, _extremes(own, is_memory), is_angle, is_memory)
     least = following.min(axis=0)
     most = following.max(axis=0)
     # a stop of the simulator that no row of the log passes is the target's as well
@@ -208,14 +204,14 @@ def _side(stops: Array, values: Array) -> IntArray:
     return np.asarray((values >= stops[1]).astype(np.int64) - (values <= stops[0]))
 
 
-def _extremes(values: Array, is_memory: BoolArray, once: IntArray) -> Array:
+def _extremes(values: Array, is_memory: BoolArray) -> Array:
     """Return the least and the most (2, d) of each coordinate that varies.
 
     They are infinite for last actions, and where fewer than ``MIN_ROWS`` rows end
-    there, of those that are counted ``once``.
+    there.
     """
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
-    n_rows = (values[once] == ends[:, None]).sum(axis=1)
+    n_rows = (values == ends[:, None]).sum(axis=1)
     is_stop = (n_rows >= MIN_ROWS) & (values.std(axis=0) > 0) & ~is_memory
     return np.where(is_stop, ends, [[-np.inf], [np.inf]])
 

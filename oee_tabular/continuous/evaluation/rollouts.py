@@ -349,7 +349,9 @@ def _covers(
     interval: tuple[float, float] | None, lowest: float, highest: float
 ) -> bool:
     """Return whether an interval reaches over two bounds."""
-    return interval is not None and interval[0] <= lowest and interval[1] >= highest
+    if interval is None or lowest == highest:
+        return False
+    return interval[0] <= lowest and interval[1] >= highest
 
 
 def _without_value(estimate: Estimate, text: str, value: float) -> Estimate:

@@ -594,7 +594,10 @@ def as_numbers(value: Any) -> Array | None:
     except Exception:  # a ragged list, or an object whose __array__ raises anything
         return None
     if array.dtype.kind == "O" and all(map(_is_number, array.flat)):
-        return array.astype(float)
+        try:
+            return array.astype(float)
+        except OverflowError:  # an integer beyond all floats
+            return None
     return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
