@@ -448,22 +448,21 @@ def verdict_on_simulator(
                 )
             return (
                 f"{each} Yet the simulator's value lies outside the"
-                f" {'interval' if one else 'intervals'} of {names}, so the target"
-                f" differs in what {'this value depends' if one else 'these values depend'} on."
+                f" {'interval' if one else 'intervals'} of {names}, which speaks for a"
+                " difference that these tests do not see."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
             " short log cannot show a small one."
         )
     if not is_rejected:
-        each = f"{rejected:,} of the {pairs} {'does' if rejected == 1 else 'do'} so"
+        each = f"{rejected:,} of the {pairs} {'shows' if rejected == 1 else 'show'} it"
         if tested == 1:
-            each = "those of the one tested state-action pair do so"
+            each = "the one tested state-action pair shows it"
         return (
-            "The target differs from the simulator. The recorded transitions show it:"
-            f" {each} by {'itself' if rejected == 1 else 'themselves'}. The test of"
-            " the whole log does not show it: outcomes that are likely in the simulator"
-            f" are about as frequent as it says (z = {z:.1f})."
+            f"The target differs from the simulator: {each}. Over the whole log, outcomes"
+            " that are likely in the simulator are about as frequent as it says (z ="
+            f" {z:.1f}), as differences in opposite directions cancel there."
         )
     sign = "less" if z < 0 else "even more"
     whole = (

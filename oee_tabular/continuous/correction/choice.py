@@ -120,8 +120,8 @@ class Correction:
         if self.steps:
             share = self.learned.hidden_part / self.plain.hidden_part
             text = (
-                f"With the last {describe_count(self.steps)} in the state, {share:.0%}"
-                " of this dependence on the past remains."
+                f"With the last {describe_count(self.steps)} in the state, the past"
+                f" still explains {share:.0%} as much."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 
