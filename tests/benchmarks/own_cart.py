@@ -11,6 +11,8 @@ continuous commands. Its true value comes from 100 000 rollouts in the target. `
 adds sensor noise to the logged states; ``quiet`` records the policy itself from one
 start almost without noise; ``starts`` does so from many starts, and writes the first
 of them into all episodes, as a recorder that notes the state before a reset.
+Such a log is false; where its commands betray the true starts, as in log 3, the value
+is too.
 """
 
 import argparse

@@ -762,7 +762,7 @@ def test_a_delay_is_no_false_start(steps):
     log = log_of(Delay(SIMULATOR, steps))
     chosen = choose_correction(SIMULATOR, log, seed=0)
     assert chosen.is_trusted
-    assert not chosen.learned.odd_starts.any()
+    assert not chosen.plain.odd_starts.any()
 
 
 def test_starts_that_are_only_few_or_only_hard_are_not_odd():

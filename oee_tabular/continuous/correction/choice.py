@@ -29,6 +29,7 @@ from oee_tabular.continuous.correction.sentences import (
     describe_count,
     describe_flaw,
     describe_history,
+    describe_starts,
     remedy,
 )
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
@@ -74,7 +75,7 @@ class Correction:
         """Return whether at most a fifth of what is hidden is left."""
         return (
             not self.learned.units
-            and not self.learned.odd_starts.any()
+            and not self.plain.odd_starts.any()
             and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
         )
 
@@ -91,7 +92,10 @@ class Correction:
     @property
     def status(self) -> str:
         """Return "ok", or why the corrected simulator's value cannot be trusted."""
-        return "ok" if self.is_trusted else describe_flaw(self.learned)
+        if self.is_trusted:
+            return "ok"
+        # what a history explains of false first rows is no reason to believe it
+        return describe_starts(self.plain) or describe_flaw(self.learned)
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
         """Return a policy of the simulator's states as one of the corrected states."""
@@ -106,10 +110,11 @@ class Correction:
         """
         if self.is_trusted or self.learned.units:
             return ""
-        if self.learned.odd_starts.any():
+        if self.plain.odd_starts.any():
             return (
-                "The states of these rows may be those before a reset. Record the state"
-                " in which an episode begins, or leave its first row out."
+                "The states of these rows may be those before a reset, or a motor may"
+                " start late. Record the state in which an episode begins, or leave its"
+                " first row out."
             )
         if not is_auto and self.steps <= MAX_LAG:
             return (
@@ -211,15 +216,11 @@ def _add_history(
     if history != "auto":
         return learn(history) if history else plain, history
     hidden = [c.history for c in plain.coordinates if c.hidden]
-    is_odd = bool(plain.odd_starts.any())
-    if plain.units or not (hidden or is_odd):
+    if not hidden or plain.units or plain.odd_starts.any():
         return plain, 0
-    least = 1
-    if hidden and not is_odd:  # what is odd at starts may be what a delay does there
-        first = max(hidden, key=lambda effect: effect.lag_r_squared)
-        least = first.lag if first.of == "action" else 1
+    first = max(hidden, key=lambda effect: effect.lag_r_squared)
     tried = {0: plain}
-    for steps in range(least, MAX_LAG + 1):
+    for steps in range(first.lag if first.of == "action" else 1, MAX_LAG + 1):
         tried[steps] = learn(steps)
         *before, last = (each.held_out_error**0.5 for each in tried.values())
         if min(before) - last < MIN_GAIN / 3.0:

@@ -133,7 +133,7 @@ def describe_history(
         return f"{text}." if describe_flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
     text += (
-        f", because {hidden_state(plain) or describe_starts(plain)}. The held-out one-step error falls from"
+        f", because {hidden_state(plain)}. The held-out one-step error falls from"
         f" {before} to {after} of a step's standard deviation."
     )
     if steps == MAX_LAG:
