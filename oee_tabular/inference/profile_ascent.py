@@ -27,7 +27,9 @@ rows, G is the difference of their gradients, and what the policies share cancel
 J is not concave in the rows, and where the frequencies never lead to a reward it is
 flat: ascents are made from several directions, the same each time, and the farthest
 ends are taken. No ascent proves that its end is the farthest one. With a horizon rows
-without data may be best mixed; these are approached slowly.
+without data may be best mixed; these are approached slowly. J may then be farthest
+inside the set as well, where no limit holds it: in small problems the ways from end to
+end and from the frequencies to each are searched, which lie in the set (it is convex).
 
 Sources: [1] A. Owen, Empirical Likelihood, 2001. [2] B. Dai et al., CoinDICE:
 Off-policy confidence interval estimation, NeurIPS 2020.
@@ -42,6 +44,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.optimize import minimize_scalar
 from scipy.special import gammaincinv
 
 from oee_tabular._progress import Watch
@@ -69,6 +72,9 @@ MAX_DRAWN_DIRECTIONS = 16  # that ascents of small problems begin from
 DRAWS_PER_MISSING_TRANSITION = 4
 # transitions of the simulator, times steps of a value, times drawn directions
 MAX_DRAW_WORK = 10**6
+# of the way from one model to another, at which J is looked at first
+SHARES_OF_WAY = np.arange(1, 16) / 16.0
+LEAST_FARTHER = 1e-6  # of the distance of the ends: less is no end farther out
 # steps with a horizon that take as long as a value without one
 STEPS_PER_INFINITE_VALUE = 15
 # of the distance between end and maximum-likelihood value, by which the last iterations
@@ -463,7 +469,55 @@ def likelihood_ends(
     search = Search.begin(evidence, confidence, minus)
     # half of the time for each end
     low = search.find_end(-1.0, watch.part(0.5))
-    return low, search.find_end(1.0, watch)
+    high = search.find_end(1.0, watch)
+    if evidence.horizon is None or minus is not None or search.is_large:
+        return low, high
+    ways = [(low.rows, high.rows)]
+    if not evidence.has_box:  # in a box the frequencies may lie outside the set
+        ways += [(evidence.phat, low.rows), (evidence.phat, high.rows)]
+    distance = high.value - low.value
+    return (
+        _leave_limit(evidence, low, ways, -1.0, distance),
+        _leave_limit(evidence, high, ways, 1.0, distance),
+    )
+
+
+def _leave_limit(
+    evidence: Evidence,
+    end: End,
+    ways: list[tuple[Array, Array]],
+    sign: float,
+    distance: float,
+) -> End:
+    """Return an end, or what lies farther on the ways between two models of the set."""
+
+    def evaluate(start: Array, stop: Array, share: float) -> float:
+        """Return J, times the sign, at a share of the way."""
+        model = evidence.with_rows((1.0 - share) * start + share * stop)
+        value = policy_value(model, evidence.policy, horizon=evidence.horizon)
+        return sign * value
+
+    best = end
+    for start, stop in ways:
+        values = [evaluate(start, stop, share) for share in SHARES_OF_WAY]
+        k = int(np.argmax(values))
+        least = sign * best.value + LEAST_FARTHER * abs(distance)
+        if not values[k] > least:
+            continue
+        around = (max(SHARES_OF_WAY[k] - SHARES_OF_WAY[0], 0.0), SHARES_OF_WAY[k])
+        around = (around[0], min(SHARES_OF_WAY[k] + SHARES_OF_WAY[0], 1.0))
+        found = minimize_scalar(
+            lambda share, start=start, stop=stop: -evaluate(start, stop, share),
+            bounds=around,
+            method="bounded",
+            options={"xatol": 1e-6},
+        )
+        share = float(found.x)
+        best = best._replace(
+            value=sign * evaluate(start, stop, share),
+            rows=(1.0 - share) * start + share * stop,
+        )
+    return best
 
 
 @dataclass(frozen=True, eq=False)

@@ -232,7 +232,7 @@ def evaluate(
     >>> report = oee.evaluate(problem, {"new": pair.policy}, estimators=names, seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
-    >>> report.uncertainty.sentences[0].partition(".")[0]
+    >>> report.uncertainty.sentences[0].partition(":")[0]
     'The target differs from the simulator'
     """
     return evaluate_showing(

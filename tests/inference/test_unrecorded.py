@@ -194,6 +194,28 @@ def test_an_interval_ends_where_no_value_is_possible(rng):
             assert found.lower - slack <= value <= found.upper + slack
 
 
+def test_with_a_horizon_an_end_may_lie_inside_the_set():
+    """From s1 the robot goes back to s0, which costs 5, with probability p. Over four
+    steps J is least for p inside of [0.147, 1], which one such transition does not
+    reject: neither end of p is the end of J.
+    """
+    P = np.array([[[0.0, 1.0]], [[1 / 3, 2 / 3]]])
+    r = np.array([[[-5.0, -5.0]], [[2.0, 0.0]]])
+    simulator = oee.FiniteMDP(P, r, [1.0, 0.0], 0.99)
+    log = oee.Transitions([0, 0, 1], [0, 0, 0], [1, 1, 0])
+    policy = np.ones((2, 1))
+    found = oee.interval(oee.Problem(simulator, log, horizon=4), policy, unrecorded=1)
+    least = np.exp(-1.920729410347062)  # half of chi-square's quantile
+    values = []
+    for p in np.linspace(least, 1.0, 4001):
+        rows = np.array([[[0.0, 1.0]], [[p, 1.0 - p]]])
+        model = oee.FiniteMDP(rows, r, [1.0, 0.0], 0.99)
+        values.append(oee.policy_value(model, policy, horizon=4))
+    assert found.worst_case[0] == pytest.approx(min(values), abs=1e-5)
+    assert found.worst_case[1] == pytest.approx(max(values), abs=1e-5)
+    assert min(values) < min(values[0], values[-1]) - 0.1
+
+
 def test_ends_before_the_cut_are_kept():
     """One reward of 0 or 1, from two starts, of which one was never recorded: as if it
     had been recorded once, its normal end is above 1.
