@@ -79,21 +79,100 @@ def row(found, estimator="mine"):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "column"),
-    [
-        ("league", "estimator"),
-        *(
-            ("cells", column)
-            for column in ("estimator", "families", "ratio", "over_eff")
+FRAMES = ("table", "cells", "league")
+
+
+def small_league():
+    """A league of two families, with an estimator that failed once."""
+    found = [
+        *rows("a", 1, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}, half={ML: 2.0}),
+        *rows("b", 3, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, math.nan]}),
+    ]
+    found[-1] |= {"status": "no value"}
+    return league_of(pd.DataFrame(found))
+
+
+def use(found, folder):
+    """Whatever a league makes of its frames."""
+    made = [str(found), repr(found), found.errors(), found.scores(), found.to_latex()]
+    for draw in (found.profile, found.sizes, found.heat):
+        draw(Figure())
+    found.save(folder, about={"a": "noise"}, command="oee bench")
+    return made
+
+
+def refusal(found, **frames):
+    """What is said of frames in place of a league's own, or "" where they are taken."""
+    try:
+        replace(found, **frames)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_a_league_needs_the_columns_it_asks_for_and_no_others(tmp_path):
+    found = small_league()
+    needed = {}
+    for name in FRAMES:
+        frame = getattr(found, name)
+        said = {
+            column: refusal(found, **{name: frame.drop(columns=column)})
+            for column in frame.columns
+        }
+        needed[name] = [column for column in said if said[column]]
+        for column in needed[name]:
+            assert f"{name} must have a column {column}; it has" in said[column]
+    assert {*needed["table"]} >= {"family", "size", "seed", "estimator", "error"}
+    use(
+        replace(found, **{name: getattr(found, name)[needed[name]] for name in FRAMES}),
+        tmp_path / "league",
+    )
+
+
+NUMBER_OF = {"table": "error", "cells": "ratio", "league": "worst"}
+ODD_FRAMES = {
+    "numbers as texts": (
+        lambda frame, number: frame.assign(**{number: "3"}),
+        "must be real numbers; it is",
+    ),
+    "complex numbers": (
+        lambda frame, number: frame.assign(**{number: frame[number] + 1j}),
+        "must be real numbers; it is complex128",
+    ),
+    "a missing text": (
+        lambda frame, number: frame.assign(
+            estimator=[*frame["estimator"][:1], None, *frame["estimator"][2:]]
         ),
-    ],
-)
-def test_frames_without_what_is_computed_of_them_are_refused(name, column):
-    found = league(rows("a", 1, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}))
-    frame = getattr(found, name).drop(columns=column)
-    with pytest.raises(ValueError, match=f"{name} must have a column {column}; it has"):
-        replace(found, **{name: frame})
+        "must be texts; row 1 is",
+    ),
+    "a row twice": (
+        lambda frame, number: pd.concat([frame, frame.iloc[[2]]]),
+        "is double",
+    ),
+    "a column twice": (
+        lambda frame, number: pd.concat([frame, frame[[number]]], axis=1),
+        "is there twice",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+@pytest.mark.parametrize("odd", ODD_FRAMES)
+def test_frames_that_are_none_of_a_league_are_refused(name, odd):
+    found = small_league()
+    change, message = ODD_FRAMES[odd]
+    with pytest.raises(ValueError, match=message) as error:
+        replace(found, **{name: change(getattr(found, name), NUMBER_OF[name])})
+    assert str(error.value).startswith(name)
+
+
+@pytest.mark.parametrize("name", ["table", "league"])
+def test_a_row_without_a_cell_is_refused(name):
+    found = small_league()
+    frame = getattr(found, name)
+    more = frame.iloc[[0]].assign(estimator="another")
+    with pytest.raises(ValueError, match=f"{name} must have rows whose .* is not"):
+        replace(found, **{name: pd.concat([frame, more])})
 
 
 def test_ratios_geometric_mean_and_worst_by_hand():

@@ -12,12 +12,11 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular._results import checked, conform
-from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.league.cells import cell_rows, wide
 from oee_tabular.lab.bench.league.files import league_files
 from oee_tabular.lab.bench.league.labels import ELSE, LIKELIHOOD, check_labels
 from oee_tabular.lab.bench.league.pictures import draw_heat, draw_profile, draw_sizes
-from oee_tabular.lab.bench.league.rows import require_rows
+from oee_tabular.lab.bench.league.rows import require_frames, require_rows
 from oee_tabular.lab.bench.league.summary import league_errors, league_of_cells
 from oee_tabular.lab.bench.league.texts import (
     count_failures,
@@ -27,9 +26,6 @@ from oee_tabular.lab.bench.league.texts import (
 )
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.typing import Array
-
-# of ``cells``, beside the estimator: what errors, scores and pictures are made of
-CELL_COLUMNS = ("families", "family", "size", "rmse", "ratio", "over_eff")
 
 
 @checked()
@@ -50,6 +46,14 @@ class League:
         over the cells.
     labels : mapping of str to str
         By the names of some estimators what texts, tables and pictures call them.
+
+    Raises
+    ------
+    ValueError
+        If a frame lacks a column of which texts, scores or pictures are made, has
+        something else than texts or real numbers there, or two rows where there is one;
+        if a row of ``table`` or ``league`` has no cell; or if ``with_labels`` would
+        refuse the labels.
 
     See Also
     --------
@@ -73,19 +77,8 @@ class League:
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse frames without what is computed of them, and labels that cannot be shown."""
-        needed = {
-            "league": (self.league, ("estimator",)),
-            "cells": (self.cells, ("estimator", *CELL_COLUMNS)),
-        }
-        for name, (frame, columns) in needed.items():
-            missing = [column for column in columns if column not in frame]
-            if missing:
-                raise ArgumentError(
-                    name,
-                    f"must have a column {missing[0]}; it has"
-                    f" {', '.join(map(str, frame.columns)) or 'none'}",
-                )
+        """Refuse frames without what is made of them, and labels that cannot be shown."""
+        require_frames(self.table, self.cells, self.league)
         check_labels(self.labels, list(self.league["estimator"].unique()))
 
     def __repr__(self) -> str:
