@@ -108,7 +108,11 @@ class Gain:
         """Find the lower end, and widen it for what the simulator may lack."""
         if self.is_none:
             return 0.0
-        end = self._search.find_end(-1.0, Watch(None), is_rough=is_rough)
+        search = self._search
+        end = search.find_end(-1.0, Watch(None), is_rough=is_rough)
+        if not is_rough:
+            other = search.find_end(1.0, Watch(None), is_rough=True)
+            end = search.leave_limit(end, other, -1.0)
         return self._widen(end.value)
 
     def _widen(self, lower: float) -> float:

@@ -75,6 +75,8 @@ MAX_DRAW_WORK = 10**6
 # of the way from one model to another, at which J is looked at first
 SHARES_OF_WAY = np.arange(1, 16) / 16.0
 LEAST_FARTHER = 1e-6  # of the distance of the ends: less is no end farther out
+MAX_STEPS_INSIDE = 40
+LEAST_PROMISED = 1e-4  # of the distance of the ends: less is looked for no farther
 # steps with a horizon that take as long as a value without one
 STEPS_PER_INFINITE_VALUE = 15
 # of the distance between end and maximum-likelihood value, by which the last iterations
@@ -470,54 +472,7 @@ def likelihood_ends(
     # half of the time for each end
     low = search.find_end(-1.0, watch.part(0.5))
     high = search.find_end(1.0, watch)
-    if evidence.horizon is None or minus is not None or search.is_large:
-        return low, high
-    ways = [(low.rows, high.rows)]
-    if not evidence.has_box:  # in a box the frequencies may lie outside the set
-        ways += [(evidence.phat, low.rows), (evidence.phat, high.rows)]
-    distance = high.value - low.value
-    return (
-        _leave_limit(evidence, low, ways, -1.0, distance),
-        _leave_limit(evidence, high, ways, 1.0, distance),
-    )
-
-
-def _leave_limit(
-    evidence: Evidence,
-    end: End,
-    ways: list[tuple[Array, Array]],
-    sign: float,
-    distance: float,
-) -> End:
-    """Return an end, or what lies farther on the ways between two models of the set."""
-
-    def evaluate(start: Array, stop: Array, share: float) -> float:
-        """Return J, times the sign, at a share of the way."""
-        model = evidence.with_rows((1.0 - share) * start + share * stop)
-        value = policy_value(model, evidence.policy, horizon=evidence.horizon)
-        return sign * value
-
-    best = end
-    for start, stop in ways:
-        values = [evaluate(start, stop, share) for share in SHARES_OF_WAY]
-        k = int(np.argmax(values))
-        least = sign * best.value + LEAST_FARTHER * abs(distance)
-        if not values[k] > least:
-            continue
-        around = (max(SHARES_OF_WAY[k] - SHARES_OF_WAY[0], 0.0), SHARES_OF_WAY[k])
-        around = (around[0], min(SHARES_OF_WAY[k] + SHARES_OF_WAY[0], 1.0))
-        found = minimize_scalar(
-            lambda share, start=start, stop=stop: -evaluate(start, stop, share),
-            bounds=around,
-            method="bounded",
-            options={"xatol": 1e-6},
-        )
-        share = float(found.x)
-        best = best._replace(
-            value=sign * evaluate(start, stop, share),
-            rows=(1.0 - share) * start + share * stop,
-        )
-    return best
+    return search.leave_limit(low, high, -1.0), search.leave_limit(high, low, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,6 +562,88 @@ class Search:
         if is_changed and ends:
             end = self._turn_rows(end, watch)
         return self._describe(end, sign, is_final=is_final)
+
+    def leave_limit(self, end: End, other: End, sign: float) -> End:
+        """Return an end, or what lies farther out inside the set.
+
+        Without a horizon J of one policy is monotone along each row. With a horizon, and
+        as a difference of two, it may be least or largest inside the set, and ascents
+        look at rows that meet its limit alone. In small problems the ways between the
+        end, the ``other`` end and the frequencies are searched.
+        """
+        rows = self.rows
+        evidence = self.evidence
+        is_monotone = evidence.horizon is None and self.minus is None
+        if is_monotone or self.is_large:
+            return end
+        models = [end.rows[rows.entries], other.rows[rows.entries]]
+        ways = [(models[0], models[1])]
+        if not evidence.has_box:  # in a box the frequencies may lie outside the set
+            ways += [(rows.phat, model) for model in models]
+        distance = abs(other.value - end.value) / rows.unit
+        least = LEAST_FARTHER * distance
+        best, p = sign * end.value / rows.unit, models[0]
+        for start, stop in ways:
+            value, found = self._best_on_way(start, stop, sign)
+            if value > best + least:
+                best, p = value, found
+        best, p = self._move_inside(p, best, sign, distance)
+        if not best > sign * end.value / rows.unit + least:
+            return end
+        inside = _begin(rows, p).towards(sign, self.base.x)
+        inside.limit = self.base.limit
+        inside.divergence = _divergence(rows, p)
+        inside.change = end.change / rows.unit
+        inside.n_iterations = end.iterations
+        return self._describe(inside, sign, is_final=end.is_final)
+
+    def _best_on_way(
+        self, start: Array, stop: Array, sign: float
+    ) -> tuple[float, Array]:
+        """Return the largest sign x J on the way between two models, and its model."""
+
+        def place(share: float) -> Array:
+            """Return the model at a share of the way."""
+            return (1.0 - share) * start + share * stop
+
+        def evaluate(share: float) -> float:
+            """Return J, times the sign, at a share of the way."""
+            return sign * _begin(self.rows, place(share)).value
+
+        values = [evaluate(share) for share in SHARES_OF_WAY]
+        k = int(np.argmax(values))
+        step = SHARES_OF_WAY[0]
+        nearest = minimize_scalar(
+            lambda share: -evaluate(share),
+            bounds=(SHARES_OF_WAY[k] - step, SHARES_OF_WAY[k] + step),
+            method="bounded",
+            options={"xatol": 1e-6},
+        )
+        share = float(nearest.x)
+        return evaluate(share), place(share)
+
+    def _move_inside(
+        self, p: Array, value: float, sign: float, distance: float
+    ) -> tuple[float, Array]:
+        """Move a model to where the gradient promises no more (Frank and Wolfe).
+
+        Each step goes to the best place on the way to the rows that are best along the
+        gradient; the set is convex, so that no step leaves it. ``value`` is sign x J.
+        """
+        rows = self.rows
+        for _ in range(MAX_STEPS_INSIDE):
+            along = sign * _begin(rows, p).slope
+            best, _, _ = best_rows(rows, along, self.base.limit, LIMIT_TOLERANCE, 0.0)
+            if float((along * (best - p)).sum()) <= LEAST_PROMISED * distance:
+                break
+            nearer, moved = self._best_on_way(p, best, sign)
+            farther = sign * _begin(rows, best).value
+            if farther > nearer:
+                nearer, moved = farther, best
+            if nearer <= value + LEAST_FARTHER * distance:
+                break
+            value, p = nearer, moved
+        return value, p
 
     def _describe(self, end: Ascent, sign: float, *, is_final: bool) -> End:
         """Return the end that an ascent has found, on all entries of the evidence."""
@@ -720,10 +757,19 @@ def by(sign: float) -> Callable[[Ascent], float]:
     return lambda ascent: sign * ascent.value
 
 
+def _divergence(rows: PolicyRows, p: Array) -> float:
+    """Return the sum of n KL(phat || P) over the rows with data."""
+    seen = rows.has_data & (rows.phat > 0.0)
+    phat = rows.phat[seen]
+    return float((rows.n[rows.row[seen]] * phat * np.log(phat / p[seen])).sum())
+
+
 def _draw_directions(rows: PolicyRows) -> Array:
     """Draw directions for ascents, one a line: r + gamma V of random V.
 
-    In every other direction only the best next state of each row counts.
+    In every other direction only the best next state of each row counts. Of two
+    policies it is drawn for each row by itself: the gradient of their gain is 0 where
+    both get the same, and leaving such a point may take two rows that go opposite ways.
     """
     lengths = np.diff(rows.indptr)
     is_observed = (rows.phat > 0.0) & rows.has_data
@@ -733,6 +779,8 @@ def _draw_directions(rows: PolicyRows) -> Array:
     number = min(wanted, affordable, MAX_DRAWN_DIRECTIONS)
     # a fixed seed: the same directions each time
     drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
+    if len(rows.parts) > 1:
+        drawn[1::2] = np.random.default_rng(6).random(drawn[1::2].shape)
     largest = np.repeat(
         np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1
     )
