@@ -13,6 +13,8 @@ import signal
 import subprocess
 import sys
 import time
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import nbformat
@@ -27,6 +29,7 @@ import oee_tabular as oee
 import oee_tabular.paper
 from oee_tabular.testing import assignments
 from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_case
+from oee_tabular.testing.assignments.differences import say_difference
 
 FOLDER = Path(__file__).parents[2] / "notebooks" / "assignments"
 SOURCES = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
@@ -189,7 +192,12 @@ def arrays_of(result):
         (array.astype(complex), "complex number"),
         (np.array([None] * array.size).reshape(array.shape), "objects that are no"),
         (np.ma.masked_all(array.shape), "masked entries, which are no numbers"),
-        (np.full(array.shape, 10**400, dtype=object), "objects that are no"),
+        (
+            [np.ma.masked_all(array.shape)] * 2,
+            "a list with masked entries, which are no",
+        ),
+        (np.full(array.shape, 10**400, dtype=object), "numbers beyond what a float"),
+        (np.full(array.shape, True, dtype=object), "no numbers, as (True|.*True) is"),
         (array.astype(str).tolist(), "of texts|the text"),
         (array.astype(bool), "must return .* it returns .*(True|False)"),
         ({"a": array}, "a dictionary"),
@@ -219,16 +227,22 @@ def test_a_result_of_another_kind_is_named_in_plain_words(exercise):
         assert " a ndarray" not in said
 
 
+@pytest.mark.parametrize("kind", [float, Fraction, Decimal])
 @pytest.mark.parametrize("exercise", ["2_support", "2_ratio", "2_counts", "1_risk"])
 def test_right_values_in_arrays_of_objects_or_without_dimension_are_right(
-    exercise, capsys
+    exercise, kind, capsys
 ):
     """``np.frompyfunc`` gives objects; ``np.all`` of some arrays no bool."""
     right = first_kind()[function_of(exercise)]
 
     def answer(*arguments):
         found = np.asarray(right(*arguments))
-        return found if found.dtype == bool else found.astype(object)
+        if found.dtype == bool:
+            return found
+        made = [kind(x) if np.isfinite(x) else float(x) for x in found.flat]
+        objects = np.empty(len(made), dtype=object)
+        objects[:] = made
+        return objects.reshape(found.shape)
 
     wrapped = eval(
         f"lambda {', '.join(draw_case(exercise, 0))}: answer("
@@ -237,6 +251,16 @@ def test_right_values_in_arrays_of_objects_or_without_dimension_are_right(
     )
     check(exercise, wrapped, cases=ALL_CASES)
     assert "Right" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan, np.inf])
+def test_the_entry_that_is_shown_is_a_wrong_one(wrong):
+    """The first differs by more, and is within the tolerance."""
+    found = np.array([1000.5, wrong, np.inf])
+    right = np.array([1000.0, 0.01, np.inf])
+    said = say_difference(found, right, np.array([False, True, False]), (), {})
+    assert said.startswith(f"entry [1] is {wrong:g}, and 0.01 is right.")
+    assert "1 of 3 entries is wrong" in said
 
 
 @pytest.mark.parametrize("exercise", ["2_ratio", "2_counts"])

@@ -64,9 +64,10 @@ def say_difference(
     """
     if not right.shape:
         return f"it returns {show_both(float(found), float(right))}."
-    is_finite = np.isfinite(found) & np.isfinite(right)
-    gap = np.where(is_finite, np.abs(found - right), 0.0)
-    if not (is_wrong & is_finite).any():
+    is_shown = is_wrong & np.isfinite(found) & np.isfinite(right)
+    with np.errstate(invalid="ignore"):  # inf - inf, which is not shown
+        gap = np.where(is_shown, np.abs(found - right), -1.0)
+    if not is_shown.any():
         gap = np.where(is_wrong, 1.0, 0.0)
     at = tuple(int(k) for k in np.unravel_index(int(gap.argmax()), gap.shape))
     place = ", ".join(map(str, at))

@@ -18,6 +18,8 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
+from numbers import Real
 from types import CodeType, FunctionType, GeneratorType, ModuleType
 from typing import Any, NoReturn
 
@@ -537,10 +539,11 @@ def describe(value: Any) -> str:
         return "a generator; make an array of what it yields"
     if isinstance(value, dict):
         return "a dictionary"
-    if np.ma.is_masked(value):
-        return (
-            f"an array of shape {value.shape} with masked entries, which are no numbers"
-        )
+    if has_masked(value):
+        kind = f"an array of shape {np.shape(value)}"
+        if isinstance(value, list | tuple):
+            kind = "a list" if isinstance(value, list) else "a tuple"
+        return f"{kind} with masked entries, which are no numbers"
     array = as_numbers(value)
     if array is not None:
         return f"numbers of shape {array.shape}"
@@ -553,7 +556,6 @@ _ENTRIES = {
     "c": "complex numbers",
     "U": "texts",
     "S": "texts",
-    "O": "objects that are no numbers, as None is",
     "M": "dates",
     "m": "lengths of time",
     "V": "records",
@@ -572,7 +574,19 @@ def _describe_entries(value: Any) -> str:
         name, array = f"an array of shape {value.shape}", value
     else:
         return f"an object of the type {type(value).__name__}"
+    if array.dtype.kind == "O":
+        for entry in array.flat:
+            if not _is_number(entry):
+                return f"{name} of objects that are no numbers, as {_checks.show(entry)} is"
+        return f"{name} of numbers beyond what a float can hold"
     return f"{name} of {_ENTRIES.get(array.dtype.kind, 'no numbers')}"
+
+
+def has_masked(value: Any) -> bool:
+    """Return whether an array has masked entries, or a list such an array."""
+    if isinstance(value, list | tuple):
+        return any(map(has_masked, value))
+    return bool(np.ma.is_masked(value))
 
 
 def as_numbers(value: Any) -> Array | None:
@@ -581,7 +595,7 @@ def as_numbers(value: Any) -> Array | None:
     Objects that are numbers, as some functions of numpy return them, are numbers; what
     a masked array has masked is none.
     """
-    if np.ma.is_masked(value):
+    if has_masked(value):
         return None
     if is_sparse(value):
         value = value.toarray()
@@ -603,6 +617,5 @@ def as_numbers(value: Any) -> Array | None:
 
 def _is_number(value: Any) -> bool:
     """Return whether an object is a real number, and not True or False."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(
-        value, bool
-    )
+    kinds = Real | Decimal | np.integer | np.floating
+    return isinstance(value, kinds) and not isinstance(value, bool)
