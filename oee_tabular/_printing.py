@@ -110,6 +110,16 @@ def share(part: float) -> str:
     return "< 0.1%" if text == "0.0%" and part > 1e-12 else text
 
 
+def listing(words: Sequence[str]) -> str:
+    """Return words with commas, and an "and" before the last of several.
+
+    >>> listing(["a", "b", "c"]), listing(["a"])
+    ('a, b and c', 'a')
+    """
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 def probability(p: float) -> str:
     """Write an estimated probability in percent; none reads as certain.
 

@@ -117,9 +117,9 @@ def write_notes(found: Improvement) -> list[str]:
     )
     if any(each.optimism > 0.0 for each in found.candidates):
         lower += (
-            "; for a policy that this log made, lowered further by how much better such"
-            " policies look on what made them (measured by policies that one half of the"
-            " log makes and the other half judges)"
+            ". A policy that this log made looks better in it than it is; its lower end"
+            " is cut by how much, measured by policies that one half of the log makes"
+            " and the other half judges"
         )
     notes = [
         *_explain_names(found),

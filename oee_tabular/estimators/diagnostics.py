@@ -222,7 +222,9 @@ class Diagnostics(dict[str, Any]):
         str, "text", "The end of the interval that takes the own value's place."
     )
     refused_value = Diagnostic(
-        float, "value", "The own value, which no sum of the rewards can reach."
+        float,
+        "value",
+        "The own value, which no sum of the rewards can reach, or which is a guess.",
     )
 
     # how well the data cover the policy

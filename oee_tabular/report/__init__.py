@@ -23,6 +23,7 @@ from oee_tabular.report.rows import Result
 from oee_tabular.report.selection import is_best_in_log as is_best_in_log
 from oee_tabular.report.tables import render_comparison as render_comparison
 from oee_tabular.report.tables import render_intervals as render_intervals
+from oee_tabular.report.text import is_of_correction as is_of_correction
 from oee_tabular.report.text import log_cannot_say as log_cannot_say
 from oee_tabular.report.uncertainty import Uncertainty as Uncertainty
 from oee_tabular.report.uncertainty import choose_interval as choose_interval

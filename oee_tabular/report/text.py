@@ -328,19 +328,13 @@ def policy_value(answer: Answer, confidence: float) -> str:
     return f"{sentence}."
 
 
-def _list(names: Sequence[str]) -> str:
-    """Return names with commas, and an “and” before the last of several."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
-
-
 def log_cannot_say(policies: Sequence[str], reason: str) -> str:
     """Say that the log cannot say what policies are worth, and why."""
     names = [f"“{name}”" for name in policies]
     if len(names) == 1:
         subject = f"the policy {names[0]} is"
     else:
-        subject = f"the policies {_list(names)} are"
+        subject = f"the policies {_printing.listing(names)} are"
     return f"The log cannot say what {subject} worth in the target: {reason}."
 
 
@@ -387,7 +381,7 @@ def no_best_policy(
     candidates: Sequence[str], n_policies: int, *, are_equal: bool
 ) -> str:
     """Say that the log cannot name a best policy, or that the candidates are equal."""
-    names = _list([f"“{name}”" for name in candidates])
+    names = _printing.listing([f"“{name}”" for name in candidates])
     others = n_policies - len(candidates)
     less = ""
     if others:
@@ -434,7 +428,7 @@ def verdict_on_simulator(
         if tested == 1:
             where = f"the one tested state-action pair (z = {z:.1f})"
         if left_out:
-            names = _list([f"“{name}”" for name in left_out])
+            names = _printing.listing([f"“{name}”" for name in left_out])
             one = len(left_out) == 1
             each = (
                 f"None of the {pairs} differs significantly from the simulator by"
@@ -462,7 +456,7 @@ def verdict_on_simulator(
         return (
             f"The target differs from the simulator: {each}. Over the whole log, outcomes"
             " that are likely in the simulator are about as frequent as it says (z ="
-            f" {z:.1f}), as differences in opposite directions cancel there."
+            f" {z:.1f}), where differences in opposite directions may cancel."
         )
     sign = "less" if z < 0 else "even more"
     whole = (
@@ -768,7 +762,7 @@ def provenance(
         parts.append(tried(trials))
     if not parts:
         return ""
-    listed = _list(parts)
+    listed = _printing.listing(parts)
     return f"Made from {listed}."
 
 

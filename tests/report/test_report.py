@@ -537,8 +537,8 @@ def test_what_a_policy_is_worth(changes, sentence):
             (
                 "The target differs from the simulator: 3 of the 40 tested state-action"
                 " pairs show it. Over the whole log, outcomes that are likely in the"
-                " simulator are about as frequent as it says (z = 0.5), as differences"
-                " in opposite directions cancel there."
+                " simulator are about as frequent as it says (z = 0.5), where"
+                " differences in opposite directions may cancel."
             ),
         ),
         (

@@ -126,7 +126,7 @@ class Correction:
             share = self.learned.hidden_part / self.plain.hidden_part
             text = (
                 f"With the last {describe_count(self.steps)} in the state, the past"
-                f" still explains {share:.0%} as much."
+                f" still explains {share:.0%} of what it explained without them."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
+from oee_tabular import _printing
 from oee_tabular.continuous.correction.neighbors import Neighbors
 from oee_tabular.continuous.log.transitions import (
     ContinuousTransitions,
@@ -235,13 +236,9 @@ def hidden_state(learned: ResidualSimulator) -> str:
     same = [c.name for c in hidden if (c.history.lag, c.history.of) == key]
     text = (
         f"the {effect.of} of {NUMBERS[effect.lag]} ago explains"
-        f" {effect.lag_r_squared:.0%} of the residual in "
+        f" {effect.lag_r_squared:.0%} of the residual in {_printing.listing(same)} (a"
+        " residual is what a step of the simulator leaves unexplained"
     )
-    if len(same) > 1:
-        text += f"{', '.join(same[:-1])} and {same[-1]}"
-    else:
-        text += same[0]
-    text += " (a residual is what a step of the simulator leaves unexplained"
     if effect.r_squared > effect.lag_r_squared + 0.05:
         text += (
             f"; the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from oee_tabular import _printing
 from oee_tabular.continuous.correction.hidden_state import (
     MAX_LAG,
     hidden_state,
@@ -41,12 +42,10 @@ def describe_starts(learned: ResidualSimulator) -> str:
     if len(odd) == 0:
         return ""
     names = [learned.coordinates[k].name for k in odd]
-    listed = names[0]
-    if len(names) > 1:
-        listed = f"{', '.join(names[:-1])} and {names[-1]}"
     return (
         "the first rows of its episodes do not fit the others: they alone make"
-        f" {learned.odd_starts[odd].min():.0%} of what is unexplained in {listed}"
+        f" {learned.odd_starts[odd].min():.0%} of what is unexplained in"
+        f" {_printing.listing(names)}"
     )
 
 
@@ -105,9 +104,9 @@ def remedy(learned: ResidualSimulator, steps: int = 0) -> str:
     if first.of == "residual" and first.lag == 1:
         return (
             "Sensor noise looks like this: an error in one recorded state makes two"
-            " steps wrong, in opposite directions. Filter the states before they are logged (a"
-            " Kalman filter, or a mean over several samples), or take speeds as"
-            " differences over several steps. If the sensor is good, a slow actuator or"
+            " steps wrong, in opposite directions. Filter the states before they are"
+            " logged (a Kalman filter, or a mean over several samples), or take speeds"
+            " as differences over several steps. If the sensor is good, a slow actuator or"
             " a quantity that is not recorded is the cause: record it."
         )
     return (

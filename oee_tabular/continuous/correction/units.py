@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from oee_tabular import _printing
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
@@ -68,7 +69,7 @@ def other_units(
         missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
         is_met = is_missed & (missed < MAX_RIGHT_UNIT_MISS)
         if is_met.any() and missed.sum() < least:
-            names = " and ".join(task.state_names[k] for k in columns)
+            names = _printing.listing([task.state_names[k] for k in columns])
             least = missed.sum()
             text = f"{names} ({unit})"
     return text

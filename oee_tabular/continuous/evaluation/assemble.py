@@ -17,7 +17,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular.continuous.evaluation.on_cells import OnCells
 from oee_tabular.continuous.evaluation.prepare import Prepared
 from oee_tabular.continuous.evaluation.rollouts import GUESSED, MAX_GUESSED_SHARE
-from oee_tabular.continuous.evaluation.rows import CORRECTED, ReportRow, Rows
+from oee_tabular.continuous.evaluation.rows import ReportRow, Rows
 from oee_tabular.continuous.evaluation.simulator import Calibration
 from oee_tabular.continuous.task.base import StatePolicy
 from oee_tabular.continuous.task.episodes import MonteCarlo
@@ -31,6 +31,7 @@ from oee_tabular.report import (
     choose_interval,
     evaluate,
     group_findings,
+    is_of_correction,
     kinds_of_findings,
     log_cannot_say,
     number_notes,
@@ -250,7 +251,7 @@ def _refused_values(report: Report) -> dict[str, str]:
     """Return why policies have no value in the corrected simulator, by their names."""
     first: dict[str, Result] = {}
     for result in report.results:
-        if result.estimator.startswith(CORRECTED):
+        if is_of_correction(result.estimator):
             first.setdefault(result.policy, result)
     return {
         name: result.estimate.status

@@ -31,7 +31,6 @@ from oee_tabular.mdp import possible_sums
 
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
-CORRECTED = "oee ("  # how the names of corrected simulators begin
 RESIDUAL = "oee (residual)"
 TARGET = "target (continuous)"
 
