@@ -628,18 +628,25 @@ class Search:
         """Move a model to where the gradient promises no more (Frank and Wolfe).
 
         Each step goes to the best place on the way to the rows that are best along the
-        gradient; the set is convex, so that no step leaves it. ``value`` is sign x J.
+        gradient; the set is convex, so that no step leaves it. Rows without data, which
+        no limit binds, and the others also go alone: where some should stay, a step of
+        all would be short. ``value`` is sign x J.
         """
         rows = self.rows
+        parts = [np.ones(len(p), dtype=bool)]
+        if rows.has_data.any() and not rows.has_data.all():
+            parts += [~rows.has_data, rows.has_data]
         for _ in range(MAX_STEPS_INSIDE):
             along = sign * _begin(rows, p).slope
             best, _, _ = best_rows(rows, along, self.base.limit, LIMIT_TOLERANCE, 0.0)
             if float((along * (best - p)).sum()) <= LEAST_PROMISED * distance:
                 break
-            nearer, moved = self._best_on_way(p, best, sign)
-            farther = sign * _begin(rows, best).value
-            if farther > nearer:
-                nearer, moved = farther, best
+            found = []
+            for part in parts:
+                stop = np.where(part, best, p)
+                found.append(self._best_on_way(p, stop, sign))
+                found.append((sign * _begin(rows, stop).value, stop))
+            nearer, moved = max(found, key=lambda each: each[0])
             if nearer <= value + LEAST_FARTHER * distance:
                 break
             value, p = nearer, moved
