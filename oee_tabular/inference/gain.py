@@ -112,7 +112,7 @@ class Gain:
         end = search.find_end(-1.0, Watch(None), is_rough=is_rough)
         if not is_rough:
             other = search.find_end(1.0, Watch(None), is_rough=True)
-            end = search.leave_limit(end, other, -1.0)
+            end = search.leave_limit(end, other, -1.0, Watch(None))
         return self._widen(end.value)
 
     def _widen(self, lower: float) -> float:

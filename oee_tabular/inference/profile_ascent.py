@@ -76,6 +76,9 @@ MAX_DRAW_WORK = 10**6
 SHARES_OF_WAY = np.arange(1, 16) / 16.0
 LEAST_FARTHER = 1e-6  # of the distance of the ends: less is no end farther out
 MAX_STEPS_INSIDE = 40
+VALUES_OF_STEP_INSIDE = 100  # about: three ways, of some 30 places each
+# transitions of the simulator, times steps of a value, times values of steps inside
+MAX_INSIDE_WORK = 3 * 10**7
 LEAST_PROMISED = 1e-4  # of the distance of the ends: less is looked for no farther
 # steps with a horizon that take as long as a value without one
 STEPS_PER_INFINITE_VALUE = 15
@@ -472,7 +475,10 @@ def likelihood_ends(
     # half of the time for each end
     low = search.find_end(-1.0, watch.part(0.5))
     high = search.find_end(1.0, watch)
-    return search.leave_limit(low, high, -1.0), search.leave_limit(high, low, 1.0)
+    return (
+        search.leave_limit(low, high, -1.0, watch),
+        search.leave_limit(high, low, 1.0, watch),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -563,18 +569,19 @@ class Search:
             end = self._turn_rows(end, watch)
         return self._describe(end, sign, is_final=is_final)
 
-    def leave_limit(self, end: End, other: End, sign: float) -> End:
+    def leave_limit(self, end: End, other: End, sign: float, watch: Watch) -> End:
         """Return an end, or what lies farther out inside the set.
 
         Without a horizon J of one policy is monotone along each row. With a horizon, and
         as a difference of two, it may be least or largest inside the set, and ascents
         look at rows that meet its limit alone. In small problems the ways between the
-        end, the ``other`` end and the frequencies are searched.
+        end, the ``other`` end and the frequencies are searched, and then what the
+        gradient promises, until the ``watch`` says that time is over.
         """
         rows = self.rows
         evidence = self.evidence
         is_monotone = evidence.horizon is None and self.minus is None
-        if is_monotone or self.is_large:
+        if is_monotone or self.is_large or watch.is_over:
             return end
         models = [end.rows[rows.entries], other.rows[rows.entries]]
         ways = [(models[0], models[1])]
@@ -587,7 +594,7 @@ class Search:
             value, found = self._best_on_way(start, stop, sign)
             if value > best + least:
                 best, p = value, found
-        best, p = self._move_inside(p, best, sign, distance)
+        best, p = self._move_inside(p, best, sign, distance, watch)
         if not best > sign * end.value / rows.unit + least:
             return end
         inside = _begin(rows, p).towards(sign, self.base.x)
@@ -595,7 +602,8 @@ class Search:
         inside.divergence = _divergence(rows, p)
         inside.change = end.change / rows.unit
         inside.n_iterations = end.iterations
-        return self._describe(inside, sign, is_final=end.is_final)
+        is_final = end.is_final and not watch.is_over
+        return self._describe(inside, sign, is_final=is_final)
 
     def _best_on_way(
         self, start: Array, stop: Array, sign: float
@@ -623,7 +631,7 @@ class Search:
         return evaluate(share), place(share)
 
     def _move_inside(
-        self, p: Array, value: float, sign: float, distance: float
+        self, p: Array, value: float, sign: float, distance: float, watch: Watch
     ) -> tuple[float, Array]:
         """Move a model to where the gradient promises no more (Frank and Wolfe).
 
@@ -636,7 +644,11 @@ class Search:
         parts = [np.ones(len(p), dtype=bool)]
         if rows.has_data.any() and not rows.has_data.all():
             parts += [~rows.has_data, rows.has_data]
-        for _ in range(MAX_STEPS_INSIDE):
+        work = len(p) * (rows.n_steps or STEPS_PER_INFINITE_VALUE)
+        affordable = MAX_INSIDE_WORK // (VALUES_OF_STEP_INSIDE * work)
+        for _ in range(min(affordable, MAX_STEPS_INSIDE)):
+            if watch.is_over:
+                break
             along = sign * _begin(rows, p).slope
             best, _, _ = best_rows(rows, along, self.base.limit, LIMIT_TOLERANCE, 0.0)
             if float((along * (best - p)).sum()) <= LEAST_PROMISED * distance:
