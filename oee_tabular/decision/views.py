@@ -73,8 +73,8 @@ def write_sentence(found: Improvement) -> str:
     if found.plan is not None:
         plural = "s" if found.plan.n > 1 else ""
         advice = (
-            f" To certify a gain takes at least about {write_count(found.plan.n)} more"
-            f" transition{plural}, recorded as oee plan proposes."
+            f" To certify a gain takes about {write_count(found.plan.n)} more"
+            f" transition{plural} or more (the command oee plan says which)."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
@@ -111,20 +111,15 @@ def list_rows(found: Improvement) -> list[list[str]]:
 def write_notes(found: Improvement) -> list[str]:
     """Write what the numbers are, and what they assume."""
     lower = (
-        "lower end: the least gain of all models that the log does not reject; a policy"
-        " is deployed where it is above 0, because an end of 0 promises no gain;"
-        f" {_write_assumption(found)}"
+        "lower end: the least gain of all models that the log does not reject, where"
+        f" {_write_assumption(found)}; a policy is deployed where it is above 0, because"
+        " an end of 0 promises no gain"
     )
-    if any(each.optimism > 0.0 for each in found.candidates):
-        lower += (
-            ". A policy that this log made looks better in it than it is; its lower end"
-            " is cut by how much, measured by policies that one half of the log makes"
-            " and the other half judges"
-        )
     notes = [
         *_explain_names(found),
         f"gain: value minus that of the running policy; {_printing.SUM}",
         lower,
+        *_explain_optimism(found),
     ]
     if any(not math.isfinite(each.gain_lower) for each in found.candidates):
         notes.append(
@@ -150,16 +145,32 @@ def _explain_names(found: Improvement) -> list[str]:
     kept = [least for least in RECORDED if recorded_name(least) in names]
     if kept:
         labels = ", ".join(f"{least}+" for least in kept)
+        often = _printing.listing(
+            ["once" if least == 1 else f"{least} times" for least in kept]
+        )
         told.append(
-            f"recorded {labels}: the best there that departs from the running policy"
-            " only in state-action pairs recorded at least so many times (without such"
-            " pairs it is the running policy, which gains 0)"
+            f"recorded {labels}: the same, but it departs from the running policy only"
+            f" by actions that were recorded at least {often} in the state"
+            " (where there are none, it is the running policy, which gains 0)"
         )
     if SIMULATOR in names:
         told.append(f"{SIMULATOR}: the best policy in the simulator as it is")
     if LOG in names:
         told.append(f"{LOG}: the best policy in the log's frequencies")
     return ["; ".join(told)] if told else []
+
+
+def _explain_optimism(found: Improvement) -> list[str]:
+    """Write by how much ends of policies that this log made were lowered, and why."""
+    cut = {each.name: each.optimism for each in found.candidates if each.optimism > 0.0}
+    if not cut:
+        return []
+    by = ", ".join(f"“{name}” {x:.2g}" for name, x in cut.items())
+    return [
+        "A policy that was made from this log looks better in it than it is. Halves of"
+        " the log show by how much: one makes a policy, the other judges it. So much is"
+        f" taken off its lower end: {by}"
+    ]
 
 
 def _write_assumption(found: Improvement) -> str:

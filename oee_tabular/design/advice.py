@@ -72,10 +72,10 @@ def advice_sentence(
     is_sure = optimistic[state, action]
     if n == 0 and not is_sure:
         # the interval may even widen with the first record
-        return (
-            f"Record {pair} first: it was never recorded, so what happens there is"
-            " assumed and not measured."
-        )
+        known = "what happens there is assumed and not measured"
+        if of == "gain":  # whose lower end assumes nothing of it
+            known = "no measurement says what happens there"
+        return f"Record {pair} first: it was never recorded, so {known}."
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
     # of what the model is sure the interval allows nothing else
     why = f"{so_far}; the model has one outcome"

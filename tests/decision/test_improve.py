@@ -70,7 +70,7 @@ def test_only_policies_that_the_log_made_are_lowered_for_it(deployed, recorded):
         max(each.optimism for each in found.candidates) for found in (short, deployed)
     ]
     assert largest[0] > largest[1]
-    assert "its lower end is cut by how much" in str(short)
+    assert "Halves of the log show by how much" in str(short)
     saved = short.to_dict()["candidates"]
     assert max(each["optimism"] for each in saved) == largest[0]
 

@@ -26,6 +26,7 @@ from oee_tabular.continuous.correction.history import (
 from oee_tabular.continuous.correction.parameters import ParameterFit
 from oee_tabular.continuous.correction.residual import ResidualSimulator
 from oee_tabular.continuous.correction.sentences import (
+    HIDDEN,
     describe_count,
     describe_flaw,
     describe_history,
@@ -97,6 +98,20 @@ class Correction:
         # what a history explains of false first rows is no reason to believe it
         return describe_starts(self.plain) or describe_flaw(self.learned)
 
+    @property
+    def doubt(self) -> tuple[str, str]:
+        """Return why no value can be trusted, and a sentence of what shows it.
+
+        The sentence is "" where the reason says it all; both are where all is well.
+        """
+        if self.is_trusted:
+            return "", ""
+        is_odd = any(each.odd_starts.any() for each in (self.plain, self.learned))
+        if self.learned.units or is_odd:
+            return self.status, ""
+        effect = hidden_state(self.learned)
+        return HIDDEN, f"{effect[0].upper()}{effect[1:]}."
+
     def policy(self, policy: StatePolicy) -> StatePolicy:
         """Return a policy of the simulator's states as one of the corrected states."""
         if isinstance(self.learned.task, HistoryTask) and self.steps:
@@ -123,10 +138,13 @@ class Correction:
             )
         text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         if self.steps:
-            share = self.learned.hidden_part / self.plain.hidden_part
+            before, after = (
+                f"{each.hidden_part:.2g}" for each in (self.plain, self.learned)
+            )
             text = (
-                f"With the last {describe_count(self.steps)} in the state, the past"
-                f" still explains {share:.0%} of what it explained without them."
+                f"With the last {describe_count(self.steps)} in the state, what the past"
+                f" explains falls only from {before} to {after} of a step's standard"
+                " deviation."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 

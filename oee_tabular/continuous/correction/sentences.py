@@ -11,6 +11,9 @@ from oee_tabular.continuous.correction.hidden_state import (
 )
 from oee_tabular.continuous.correction.residual import ResidualSimulator
 
+HIDDEN = (
+    "the next state depends on more than the recorded state and action (hidden state)"
+)
 UNITS = "the log's columns seem to be in another unit than the simulator's: "
 
 
@@ -25,12 +28,7 @@ def describe_flaw(learned: ResidualSimulator) -> str:
     if starts := describe_starts(learned):
         return starts
     effect = hidden_state(learned)
-    return (
-        "the next state depends on more than the recorded state and action (hidden"
-        f" state): {effect}"
-        if effect
-        else "ok"
-    )
+    return f"{HIDDEN}: {effect}" if effect else "ok"
 
 
 def describe_starts(learned: ResidualSimulator) -> str:
@@ -103,11 +101,11 @@ def remedy(learned: ResidualSimulator, steps: int = 0) -> str:
     # what a sensor adds to one state is taken back in the next step
     if first.of == "residual" and first.lag == 1:
         return (
-            "Sensor noise looks like this: an error in one recorded state makes two"
+            "The cause may be sensor noise: an error in one recorded state makes two"
             " steps wrong, in opposite directions. Filter the states before they are"
             " logged (a Kalman filter, or a mean over several samples), or take speeds"
-            " as differences over several steps. If the sensor is good, a slow actuator or"
-            " a quantity that is not recorded is the cause: record it."
+            " as differences over several steps. If the sensor is good, it may be a slow"
+            " actuator or a quantity that is not recorded: record it."
         )
     return (
         "A slow actuator, a longer delay or a quantity that is not recorded may be the"

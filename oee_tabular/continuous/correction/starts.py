@@ -3,6 +3,13 @@
 A recorder that writes the state of a reset in place of the state in which the robot
 started makes one wrong step in each episode. A correction takes them for noise of every
 step, and its values are wrong without a sign of it in their intervals.
+
+The thresholds were first set on logs of CartPole and of a cart, and then compared with
+26 others on 80 logs of systems drawn anew; 80 more were kept aside
+(``tests/benchmarks/first_rows.py``). On those false first rows are seen in 91, 88 and
+68% (rows of the episode before, of one start, zeros), and in 1% of the true logs. With
+a share of 0.3 and a ratio of 5 these are 94, 91 and 72%, but 2% of the true logs, and 4%
+of the first half.
 """
 
 from __future__ import annotations

@@ -517,14 +517,15 @@ def describe_whole(
     compared = correction.learned
     if correction.fit is not None and not correction.steps:
         compared = correction.plain
-    found = [correction.advice(is_auto=is_auto)]
+    reason, shown = correction.doubt
+    found = [f"{shown} {correction.advice(is_auto=is_auto)}".strip()]
     doubt = ""
     if correction.is_trusted:
         found.append(correction.reason)
     else:
         doubt = (
-            f"{correction.status}, so neither a corrected simulator nor a model of the"
-            " log can be trusted"
+            f"{reason}, so neither a corrected simulator nor a model of the log can be"
+            " trusted"
         )
     found.append(difference(compared))
     distance = tuple(sentence for sentence in found if sentence)

@@ -99,9 +99,9 @@ def describe_shares(task: ContinuousTask, shares: Array, *, has_cells: bool) -> 
     )
     verb = "take" if has_cells else "takes"
     return (
-        f"{n_between} of the log's {len(shares)} commands lie between the task's"
+        f"{n_between:,} of the log's {len(shares):,} commands lie between the task's"
         f" {task.n_actions} actions. The correction reads such a command as a mean of"
-        f" the actions around it; {others} {verb} the nearest action"
+        f" the actions around it; {others} {verb} the nearest action."
     )
 
 
