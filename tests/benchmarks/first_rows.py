@@ -23,9 +23,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.own_cart import HangingLoad
-
 import oee_tabular as oee
+from benchmarks.own_cart import HangingLoad
 from oee_tabular.continuous.correction import residual, starts
 from oee_tabular.continuous.correction.choice import choose_correction
 from oee_tabular.tasks import ContinuousTask, Moves
