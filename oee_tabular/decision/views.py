@@ -168,8 +168,8 @@ def _explain_optimism(found: Improvement) -> list[str]:
     by = ", ".join(f"“{name}” {x:.2g}" for name, x in cut.items())
     return [
         "A policy that was made from this log looks better in it than it is. Halves of"
-        " the log show by how much: one makes a policy, the other judges it. So much is"
-        f" taken off its lower end: {by}"
+        " the log show by how much: one makes a policy, the other judges it. The lower"
+        f" end is already less by it: {by}"
     ]
 
 

@@ -430,20 +430,19 @@ def verdict_on_simulator(
         if left_out:
             names = _printing.listing([f"“{name}”" for name in left_out])
             one = len(left_out) == 1
-            each = (
-                f"None of the {pairs} differs significantly from the simulator by"
-                " itself, and over all of them likely outcomes are about as frequent"
-                f" as it says (z = {z:.1f}; this test misses differences that cancel)."
+            unseen = (
+                f"none of the {pairs} differs significantly by itself, and over all of"
+                f" them differences may cancel (z = {z:.1f})"
             )
             if tested == 1:
-                each = (
-                    "The one tested state-action pair does not differ significantly"
-                    f" from the simulator (z = {z:.1f})."
+                unseen = (
+                    "the one tested state-action pair does not differ significantly (z ="
+                    f" {z:.1f})"
                 )
             return (
-                f"{each} Yet the simulator's value lies outside the"
+                "The simulator's value lies outside the"
                 f" {'interval' if one else 'intervals'} of {names}, which speaks for a"
-                " difference that these tests do not see."
+                f" difference from the target. The tests do not see it: {unseen}."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"
@@ -460,16 +459,16 @@ def verdict_on_simulator(
         )
     sign = "less" if z < 0 else "even more"
     whole = (
-        "The target differs from the simulator. Outcomes that are likely in the"
-        f" simulator are {sign} frequent in the target (z = {z:.1f} standard"
-        " deviations, over all recorded transitions together)."
+        "The target differs from the simulator: what the simulator calls likely happens"
+        f" {sign} often (z = {z:.1f} standard deviations, over all recorded transitions"
+        " together)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
     if not rejected:
         return (
-            f"{whole} Only together do they show it: no single one of the {pairs} has"
-            " enough transitions, by a test that allows for looking at all of them."
+            f"{whole} No single one of the {pairs} has enough transitions to show it by"
+            " itself, in a test that allows for looking at all of them."
         )
     if rejected == tested:
         return f"{whole} Each of the {pairs} differs surely by itself."
@@ -600,8 +599,7 @@ def worth_of_both(worth: float) -> str:
     """Say how many trials alone would give as narrow an interval, and of which kind."""
     return (
         "Simulator, log and trials together are as precise as about"
-        f" {count_up(worth, 'trial')} alone (by the width of an interval computed as in"
-        " the row “trials”)."
+        f" {count_up(worth, 'trial')} alone."
     )
 
 
@@ -609,8 +607,8 @@ def halve_interval(trials: float, transitions: float) -> str:
     """Say how many more trials, or transitions, halve the interval."""
     return (
         f"About {count_up(trials, 'more trial')}, or"
-        f" {count_up(transitions, 'more transition')} recorded as those of the log,"
-        " would halve the interval."
+        f" {count_up(transitions, 'more transition')} recorded like the log's, would halve"
+        " the interval of all three together."
     )
 
 

@@ -171,7 +171,7 @@ def test_a_difference_in_value_is_told_where_no_transition_shows_it():
         found = report.uncertainty.likelihood["on"]
         value = oee.exact.policy_value(simulator, policies["on"])
         is_outside = not inside(value, found.lower, found.upper)
-        words = "the simulator's value lies outside the interval of “on”"
+        words = "The simulator's value lies outside the interval of “on”"
         assert (words in sentence) == is_outside
         told.append(is_outside)
     assert 3 <= sum(told) < len(told) - 3

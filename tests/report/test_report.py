@@ -507,21 +507,20 @@ def test_what_a_policy_is_worth(changes, sentence):
         (
             text.verdict_on_simulator(-29.04, 1, 739, is_rejected=True),
             (
-                "The target differs from the simulator. Outcomes that are likely in the"
-                " simulator are less frequent in the target (z = -29.0 standard"
-                " deviations, over all recorded transitions together). 1 of the 739"
-                " tested state-action pairs differs surely by itself."
+                "The target differs from the simulator: what the simulator calls likely"
+                " happens less often (z = -29.0 standard deviations, over all recorded"
+                " transitions together). 1 of the 739 tested state-action pairs differs"
+                " surely by itself."
             ),
         ),
         (
             text.verdict_on_simulator(24.51, 0, 1200, is_rejected=True),
             (
-                "The target differs from the simulator. Outcomes that are likely in the"
-                " simulator are even more frequent in the target (z = 24.5 standard"
-                " deviations, over all recorded transitions together). Only"
-                " together do they show it: no single one of the 1,200 tested"
-                " state-action pairs has enough transitions, by a test that allows for"
-                " looking at all of them."
+                "The target differs from the simulator: what the simulator calls likely"
+                " happens even more often (z = 24.5 standard deviations, over all"
+                " recorded transitions together). No single one of the 1,200 tested"
+                " state-action pairs has enough transitions to show it by itself, in a"
+                " test that allows for looking at all of them."
             ),
         ),
         (
@@ -569,10 +568,10 @@ def test_what_a_policy_is_worth(changes, sentence):
                 0.0, 0, 1, is_rejected=False, left_out=["mine", "b"]
             ),
             (
-                "The one tested state-action pair does not differ significantly from"
-                " the simulator (z = 0.0). Yet the simulator's value lies outside the"
-                " intervals of “mine” and “b”, which speaks for a difference that these"
-                " tests do not see."
+                "The simulator's value lies outside the intervals of “mine” and “b”,"
+                " which speaks for a difference from the target. The tests do not see"
+                " it: the one tested state-action pair does not differ significantly (z"
+                " = 0.0)."
             ),
         ),
         (

@@ -138,13 +138,9 @@ class Correction:
             )
         text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         if self.steps:
-            before, after = (
-                f"{each.hidden_part:.2g}" for each in (self.plain, self.learned)
-            )
             text = (
-                f"With the last {describe_count(self.steps)} in the state, what the past"
-                f" explains falls only from {before} to {after} of a step's standard"
-                " deviation."
+                f"Keeping the last {describe_count(self.steps)} in the state removes too"
+                " little of this."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 
