@@ -74,7 +74,7 @@ def write_sentence(found: Improvement) -> str:
         plural = "s" if found.plan.n > 1 else ""
         advice = (
             f" To certify a gain takes about {write_count(found.plan.n)} more"
-            f" transition{plural} or more (the command oee plan says which)."
+            f" transition{plural}, if not more (the command “oee plan” says which)."
             f" {found.plan.advice}"
         )
     certified = f"but it may lose {lower.lstrip('-−')}"
@@ -149,9 +149,9 @@ def _explain_names(found: Improvement) -> list[str]:
             ["once" if least == 1 else f"{least} times" for least in kept]
         )
         told.append(
-            f"recorded {labels}: the same, but it departs from the running policy only"
-            f" by actions that were recorded at least {often} in the state"
-            " (where there are none, it is the running policy, which gains 0)"
+            f"recorded {labels}: the same, but it takes another action than the running"
+            f" policy only where the log has that action at least {often} in the state"
+            " (if nowhere, it is the running policy, which gains 0)"
         )
     if SIMULATOR in names:
         told.append(f"{SIMULATOR}: the best policy in the simulator as it is")
@@ -169,7 +169,7 @@ def _explain_optimism(found: Improvement) -> list[str]:
     return [
         "A policy that was made from this log looks better in it than it is. Halves of"
         " the log show by how much: one makes a policy, the other judges it. The lower"
-        f" end is already less by it: {by}"
+        f" ends above have it subtracted: {by}"
     ]
 
 

@@ -460,8 +460,8 @@ def verdict_on_simulator(
     sign = "less" if z < 0 else "even more"
     whole = (
         "The target differs from the simulator: what the simulator calls likely happens"
-        f" {sign} often (z = {z:.1f} standard deviations, over all recorded transitions"
-        " together)."
+        f" {sign} often than it says (z = {z:.1f} standard deviations, over all recorded"
+        " transitions together)."
     )
     if tested == 1:
         return f"{whole} All are of one state-action pair."
@@ -599,7 +599,7 @@ def worth_of_both(worth: float) -> str:
     """Say how many trials alone would give as narrow an interval, and of which kind."""
     return (
         "Simulator, log and trials together are as precise as about"
-        f" {count_up(worth, 'trial')} alone."
+        f" {count_up(worth, 'trial')} alone would be."
     )
 
 

@@ -368,7 +368,7 @@ def test_with_sensor_noise_no_value_is_stated():
     # advice does not go in a circle: "history 8", then "history auto"
     given = choose_correction(SIMULATOR, log_of(target), history=8, seed=0)
     told = given.advice(is_auto=False)
-    assert told.startswith("Keeping the last 8 actions in the state removes too little")
+    assert told.startswith("A correction that keeps the last 8 actions in the state ")
     learned = [
         row
         for row in report.records()

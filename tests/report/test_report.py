@@ -508,8 +508,8 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.verdict_on_simulator(-29.04, 1, 739, is_rejected=True),
             (
                 "The target differs from the simulator: what the simulator calls likely"
-                " happens less often (z = -29.0 standard deviations, over all recorded"
-                " transitions together). 1 of the 739 tested state-action pairs differs"
+                " happens less often than it says (z = -29.0 standard deviations, over"
+                " all recorded transitions together). 1 of the 739 tested state-action pairs differs"
                 " surely by itself."
             ),
         ),
@@ -517,8 +517,8 @@ def test_what_a_policy_is_worth(changes, sentence):
             text.verdict_on_simulator(24.51, 0, 1200, is_rejected=True),
             (
                 "The target differs from the simulator: what the simulator calls likely"
-                " happens even more often (z = 24.5 standard deviations, over all"
-                " recorded transitions together). No single one of the 1,200 tested"
+                " happens even more often than it says (z = 24.5 standard deviations,"
+                " over all recorded transitions together). No single one of the 1,200 tested"
                 " state-action pairs has enough transitions to show it by itself, in a"
                 " test that allows for looking at all of them."
             ),

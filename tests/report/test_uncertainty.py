@@ -436,7 +436,7 @@ def test_the_test_of_all_transitions_together_by_hand(seed):
     assert abs(z) > 3.5
     said = sentences_of(Problem(simulator, log), np.zeros(12, dtype=int))[0]
     sign = "less" if z < 0 else "even more"
-    assert f"happens {sign} often (z = {z:.1f} standard" in said
+    assert f"happens {sign} often than it says (z = {z:.1f} standard" in said
 
 
 def test_differences_are_in_the_reports_unit():

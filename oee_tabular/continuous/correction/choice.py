@@ -139,8 +139,8 @@ class Correction:
         text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         if self.steps:
             text = (
-                f"Keeping the last {describe_count(self.steps)} in the state removes too"
-                " little of this."
+                f"A correction that keeps the last {describe_count(self.steps)} in the"
+                " state removes too little of this."
             )
         return f"{text} {remedy(self.learned, self.steps)}"
 
