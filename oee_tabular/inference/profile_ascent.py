@@ -786,25 +786,29 @@ def _divergence(rows: PolicyRows, p: Array) -> float:
 def _draw_directions(rows: PolicyRows) -> Array:
     """Draw directions for ascents, one a line: r + gamma V of random V.
 
-    In every other direction only the best next state of each row counts. Of two
-    policies it is drawn for each row by itself: the gradient of their gain is 0 where
-    both get the same, and leaving such a point may take two rows that go opposite ways.
+    In every other direction only the best next state of each row counts. For two
+    policies there are half as many more, in which the best next state of each row is
+    drawn by itself: the gradient of their gain is 0 where both get the same, and
+    leaving such a point may take two rows that go opposite ways.
     """
-    lengths = np.diff(rows.indptr)
     is_observed = (rows.phat > 0.0) & rows.has_data
     n_steps = rows.n_steps or STEPS_PER_INFINITE_VALUE
     affordable = max(MAX_DRAW_WORK // (len(rows.phat) * n_steps), 1)
     wanted = DRAWS_PER_MISSING_TRANSITION * int((~is_observed).sum())
     number = min(wanted, affordable, MAX_DRAWN_DIRECTIONS)
-    # a fixed seed: the same directions each time
+    # fixed seeds: the same directions each time
     drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
-    if len(rows.parts) > 1:
-        drawn[1::2] = np.random.default_rng(6).random(drawn[1::2].shape)
-    largest = np.repeat(
-        np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1
-    )
-    drawn[1::2] = (drawn == largest)[1::2]
+    drawn[1::2] = _is_largest(rows, drawn[1::2])
+    if len(rows.parts) > 1 and number:
+        apart = np.random.default_rng(6).random(((number + 1) // 2, len(rows.phat)))
+        drawn = np.vstack([drawn, _is_largest(rows, apart)])
     return drawn
+
+
+def _is_largest(rows: PolicyRows, directions: Array) -> BoolArray:
+    """Return which entries are the largest of their rows, for each direction."""
+    largest = np.maximum.reduceat(directions, rows.indptr[:-1], axis=1)
+    return np.asarray(directions == largest[:, rows.row])
 
 
 def _begin(rows: PolicyRows, p: Array) -> Ascent:
