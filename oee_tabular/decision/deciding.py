@@ -110,8 +110,9 @@ def improve(
     The lower end is that of the profile likelihood: the least gain of all models with
     ``sum n KL(frequencies, model) <= chi2 / 2``, chi2 the quantile of ``confidence``.
     Both values are of one model, so what the policies share cancels. The end is found
-    by ascents, which do not prove that no other model is worse; many are made, and the
-    best of them is changed row by row.
+    by ascents, which do not prove that no other model is worse; many are made. Where the
+    policies reach at most 128 states, the best of them is changed row by row, and then
+    moved inside the set of models as far as the gain's gradient promises more.
 
     A policy that was made from the counts themselves (an optimum of their frequencies)
     looks better than it is, and its bound fails much more often than it says. Such a

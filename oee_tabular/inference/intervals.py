@@ -343,6 +343,9 @@ def interval(
 
     ``promised`` in a likelihood interval's diagnostics is a first-order bound on how
     far models in the set may lie beyond its ends, 0 at convergence.
+    With a horizon, J may be least or largest in the midst of the set. There it is sought
+    where the policy can reach at most 128 states; in larger problems the ends are those
+    of ascents along the set's limit, and ``promised`` may stay above 0.
 
     If a Problem dropped impossible transitions, "likelihood" and "robust" let them lead
     anywhere (to first order), and the others are refused. All intervals widen for a
