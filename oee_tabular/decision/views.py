@@ -148,9 +148,12 @@ def _explain_names(found: Improvement) -> list[str]:
         often = _printing.listing(
             ["once" if least == 1 else f"{least} times" for least in kept]
         )
+        same = "the same, but it"
+        if CORRECTED not in names:
+            same = "the best policy in the simulator corrected by the log that"
         told.append(
-            f"recorded {labels}: the same, but it takes another action than the running"
-            f" policy only where the log has that action at least {often} in the state"
+            f"recorded {labels}: {same} takes another action than the running policy"
+            f" only where the log has that action at least {often} in the state"
             " (if nowhere, it is the running policy, which gains 0)"
         )
     if SIMULATOR in names:

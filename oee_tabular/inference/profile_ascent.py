@@ -581,7 +581,7 @@ class Search:
         rows = self.rows
         evidence = self.evidence
         is_monotone = evidence.horizon is None and self.minus is None
-        if is_monotone or self.is_large or watch.is_over:
+        if is_monotone or self.is_large:
             return end
         models = [end.rows[rows.entries], other.rows[rows.entries]]
         ways = [(models[0], models[1])]
@@ -591,18 +591,20 @@ class Search:
         least = LEAST_FARTHER * distance
         best, p = sign * end.value / rows.unit, models[0]
         for start, stop in ways:
+            if watch.is_over:
+                break
             value, found = self._best_on_way(start, stop, sign)
             if value > best + least:
                 best, p = value, found
         best, p = self._move_inside(p, best, sign, distance, watch)
+        is_final = end.is_final and not watch.is_over
         if not best > sign * end.value / rows.unit + least:
-            return end
+            return end._replace(is_final=is_final)
         inside = _begin(rows, p).towards(sign, self.base.x)
         inside.limit = self.base.limit
         inside.divergence = _divergence(rows, p)
         inside.change = end.change / rows.unit
         inside.n_iterations = end.iterations
-        is_final = end.is_final and not watch.is_over
         return self._describe(inside, sign, is_final=is_final)
 
     def _best_on_way(
@@ -628,7 +630,8 @@ class Search:
             options={"xatol": 1e-6},
         )
         share = float(nearest.x)
-        return evaluate(share), place(share)
+        best, share = max((evaluate(share), share), (values[k], SHARES_OF_WAY[k]))
+        return best, place(share)
 
     def _move_inside(
         self, p: Array, value: float, sign: float, distance: float, watch: Watch

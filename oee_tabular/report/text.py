@@ -608,7 +608,7 @@ def halve_interval(trials: float, transitions: float) -> str:
     return (
         f"About {count_up(trials, 'more trial')}, or"
         f" {count_up(transitions, 'more transition')} recorded like the log's, would halve"
-        " the interval of all three together."
+        " the interval of simulator, log and trials together."
     )
 
 

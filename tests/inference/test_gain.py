@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular._progress import Watch
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.gain import Gain, require_consistent_box
 from oee_tabular.inference.profile_ascent import Search, likelihood_ends
@@ -105,6 +106,20 @@ def test_with_a_horizon_the_end_may_lie_inside_the_set(swapped):
     found = gain_of(problem, mine, runs, factor=1.0)
     assert found.lower == pytest.approx(min(gains), abs=1e-6)
     assert (min(gains) < min(gains[0], gains[-1]) - 0.1) == (not swapped)
+
+
+@pytest.mark.parametrize("minus", [None, "other"])
+def test_an_end_whose_search_was_stopped_is_not_final(minus):
+    rng = np.random.default_rng(2)
+    problem, policy = problem_of(rng, horizon=5, n=10)
+    running = random_policy(rng, problem.simulator) if minus else None
+    search = Search.begin(gather(problem, policy), 0.95, running)
+    low, high = (search.find_end(sign, Watch(None)) for sign in (-1.0, 1.0))
+    assert low.is_final
+    stopped = search.leave_limit(low, high, -1.0, Watch(0.0))
+    assert not stopped.is_final
+    assert stopped.value == low.value
+    assert search.leave_limit(low, high, -1.0, Watch(None)).is_final
 
 
 def small_problem(seed):

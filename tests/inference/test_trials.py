@@ -350,7 +350,7 @@ def test_a_report_says_how_trials_are_counted_and_whose_they_are():
     problem, policy, _ = lake()
     report = oee.evaluate(problem, {"mine": policy}, seed=0)
     shown = " ".join(str(report).split())
-    assert "would halve the interval of all three together." in shown
+    assert "would halve the interval of simulator, log and trials together." in shown
     assert re.search(
         r"Made from the log that was recorded in the target \([^)]+\), the simulator"
         r" \([^)]+\) and 12 trials of “mine”\.",
@@ -392,7 +392,7 @@ def test_a_report_states_both_first():
         assert rows[name]["lower"] == before[name]["lower"]
     words = " ".join(report.to_text(verbose=True).split())
     assert "The 12 trials alone say 0.75" in words
-    assert "would halve the interval of all three together." in words
+    assert "would halve the interval of simulator, log and trials together." in words
     assert "Trials: 9 of 12 succeeded" in words
     content = json.loads(report.to_json())
     (row,) = content["trials"]

@@ -166,6 +166,17 @@ def test_frames_that_are_none_of_a_league_are_refused(name, odd):
     assert str(error.value).startswith(name)
 
 
+@pytest.mark.parametrize("size", [3, 1 / 3, 1234567])
+def test_a_league_is_read_back_from_its_tables(size, tmp_path):
+    errors = {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}
+    found = league(rows("a", size, errors))
+    found.save(tmp_path)
+    frames = {name: pd.read_csv(tmp_path / f"{name}.csv") for name in FRAMES}
+    again = oee.bench.League(**frames)
+    for name, scores in found.scores().items():
+        assert_allclose(again.scores()[name], scores, rtol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["table", "league"])
 def test_a_row_without_a_cell_is_refused(name):
     found = small_league()

@@ -180,6 +180,12 @@ def test_what_is_no_result_is_refused_in_a_sentence(exercise, value):
     assert "Hint: " in said
 
 
+def within_itself():
+    endless = []
+    endless.append(endless)
+    return endless
+
+
 def arrays_of(result):
     """Results that are none, made of a right one, and the words that are said."""
     array = np.asarray(result, dtype=float)
@@ -196,6 +202,9 @@ def arrays_of(result):
             [np.ma.masked_all(array.shape)] * 2,
             "a list with masked entries, which are no",
         ),
+        ((np.ma.masked_all(2), 1), "a tuple with masked entries, which are no"),
+        ([Decimal("sNaN")] * 3, "a list of "),
+        (within_itself(), "a list "),
         (np.full(array.shape, 10**400, dtype=object), "numbers beyond what a float"),
         (np.full(array.shape, True, dtype=object), "no numbers, as (True|.*True) is"),
         (array.astype(str).tolist(), "of texts|the text"),
@@ -242,7 +251,8 @@ def test_right_values_in_arrays_of_objects_or_without_dimension_are_right(
         made = [kind(x) if np.isfinite(x) else float(x) for x in found.flat]
         objects = np.empty(len(made), dtype=object)
         objects[:] = made
-        return objects.reshape(found.shape)
+        objects = objects.reshape(found.shape)
+        return objects if kind is float else objects[()]  # one alone as it is
 
     wrapped = eval(
         f"lambda {', '.join(draw_case(exercise, 0))}: answer("

@@ -80,6 +80,11 @@ class Correction:
             and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
         )
 
+    @cached_property
+    def has_odd_starts(self) -> bool:
+        """Return whether first rows of episodes do not fit the others."""
+        return any(each.odd_starts.any() for each in (self.plain, self.learned))
+
     @property
     def name(self) -> str:
         """Return the name of its row in a report."""
@@ -106,8 +111,7 @@ class Correction:
         """
         if self.is_trusted:
             return "", ""
-        is_odd = any(each.odd_starts.any() for each in (self.plain, self.learned))
-        if self.learned.units or is_odd:
+        if self.learned.units or self.has_odd_starts:
             return self.status, ""
         effect = hidden_state(self.learned)
         return HIDDEN, f"{effect[0].upper()}{effect[1:]}."
@@ -125,7 +129,7 @@ class Correction:
         """
         if self.is_trusted or self.learned.units:
             return ""
-        if self.plain.odd_starts.any():
+        if self.has_odd_starts:
             return (
                 "The states of these rows may be those before a reset, or a motor may"
                 " start late. Record the state in which an episode begins, or leave its"

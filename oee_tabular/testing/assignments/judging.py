@@ -39,6 +39,7 @@ CLOSE = 1e-3  # of the largest right entry
 N_PLAIN_CASES = 3
 N_PLAIN_CASES_OF_A_WORD = 12
 N_CASES_OF_A_WORD = 40
+MAX_AXES = 64  # that an array of numpy may have
 LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "IMPORT_NAME")
 
 Arguments = dict[str, Any]
@@ -540,9 +541,10 @@ def describe(value: Any) -> str:
     if isinstance(value, dict):
         return "a dictionary"
     if has_masked(value):
-        kind = f"an array of shape {np.shape(value)}"
         if isinstance(value, list | tuple):
             kind = "a list" if isinstance(value, list) else "a tuple"
+        else:
+            kind = f"an array of shape {np.shape(value)}"
         return f"{kind} with masked entries, which are no numbers"
     array = as_numbers(value)
     if array is not None:
@@ -582,10 +584,13 @@ def _describe_entries(value: Any) -> str:
     return f"{name} of {_ENTRIES.get(array.dtype.kind, 'no numbers')}"
 
 
-def has_masked(value: Any) -> bool:
-    """Return whether an array has masked entries, or a list such an array."""
+def has_masked(value: Any, depth: int = 0) -> bool:
+    """Return whether an array has masked entries, or a list such an array.
+
+    Lists within lists are looked at as far as an array may have axes.
+    """
     if isinstance(value, list | tuple):
-        return any(map(has_masked, value))
+        return depth < MAX_AXES and any(has_masked(part, depth + 1) for part in value)
     return bool(np.ma.is_masked(value))
 
 
@@ -599,9 +604,8 @@ def as_numbers(value: Any) -> Array | None:
         return None
     if is_sparse(value):
         value = value.toarray()
-    if not isinstance(value, int | float | list | tuple) and not hasattr(
-        value, "__array__"
-    ):
+    is_plain = isinstance(value, Real | Decimal | list | tuple)
+    if not is_plain and not hasattr(value, "__array__"):
         return None
     try:
         array = np.asarray(value)
@@ -610,7 +614,7 @@ def as_numbers(value: Any) -> Array | None:
     if array.dtype.kind == "O" and all(map(_is_number, array.flat)):
         try:
             return array.astype(float)
-        except OverflowError:  # an integer beyond all floats
+        except (OverflowError, ValueError):  # beyond all floats, or a signaling nan
             return None
     return array.astype(float) if array.dtype.kind in "iuf" else None
 

@@ -25,7 +25,10 @@ def league_files(
     shown = league.with_labels({} if labels is None else labels)
     contents = {
         "table.csv": _files.csv_bytes(league.table),
-        "cells.csv": _files.csv_bytes(league.cells, float_format="%.6g"),
+        "cells.csv": _files.csv_bytes(
+            league.cells.assign(size=league.cells["size"].map(_write_size)),
+            float_format="%.6g",
+        ),
         "league.csv": _files.csv_bytes(league.league, float_format="%.6g"),
         "league.md": _files.text_bytes(shown.page(about or {}, command)),
         "league.tex": _files.text_bytes(shown.to_latex()),
@@ -37,3 +40,12 @@ def league_files(
         pictures = draw_or_warn(f"{name}.png", draw)
         contents |= {f"{name}.{kind}": data for kind, data in (pictures or {}).items()}
     return contents
+
+
+def _write_size(size: float) -> str:
+    """Write a size with six digits, or with all where these are not enough.
+
+    The table's rows are matched to cells by it.
+    """
+    short = f"{size:.6g}"
+    return short if float(short) == size else repr(float(size))

@@ -105,7 +105,8 @@ def _require_kinds(
         kind = frame[column].dtype
         if not pd.api.types.is_numeric_dtype(kind) or kind.kind == "c":
             raise ArgumentError(
-                f"{name}[{column!r}]", f"must be real numbers; it is {kind}"
+                f"{name}[{column!r}]",
+                f"must be real numbers; it is {kind} (astype(float) makes numbers)",
             )
 
 
@@ -128,7 +129,8 @@ def _require_known(
     is_known = pd.MultiIndex.from_frame(frame[[*key]]).isin(known)
     if not is_known.all():
         k = int(np.argmin(is_known))
-        found = ", ".join(_checks.show(frame[column].iloc[k]) for column in key)
+        row = frame.iloc[[k]].to_dict("records")[0]
+        found = ", ".join(_checks.show(row[column]) for column in key)
         raise ArgumentError(
             name,
             f"must have rows whose {', '.join(key)} are in {other}; row {k}, {found}, is"
