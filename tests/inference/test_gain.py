@@ -1,5 +1,7 @@
 """The lower end of a gain: against enumeration, SLSQP, and an interval."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers import random_mdp, random_policy, rngs
@@ -8,7 +10,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular._progress import Watch
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.gain import Gain, require_consistent_box
 from oee_tabular.inference.profile_ascent import Search, likelihood_ends
@@ -114,12 +115,13 @@ def test_an_end_whose_search_was_stopped_is_not_final(minus):
     problem, policy = problem_of(rng, horizon=5, n=10)
     running = random_policy(rng, problem.simulator) if minus else None
     search = Search.begin(gather(problem, policy), 0.95, running)
-    low, high = (search.find_end(sign, Watch(None)) for sign in (-1.0, 1.0))
+    early, late = (SimpleNamespace(is_over=is_over) for is_over in (False, True))
+    low, high = (search.find_end(sign, early) for sign in (-1.0, 1.0))
     assert low.is_final
-    stopped = search.leave_limit(low, high, -1.0, Watch(0.0))
+    stopped = search.leave_limit(low, high, -1.0, late)
     assert not stopped.is_final
     assert stopped.value == low.value
-    assert search.leave_limit(low, high, -1.0, Watch(None)).is_final
+    assert search.leave_limit(low, high, -1.0, early).is_final
 
 
 def small_problem(seed):
