@@ -73,7 +73,7 @@ def advice_sentence(
     if n == 0 and not is_sure:
         # the interval may even widen with the first record
         known = "what happens there is assumed and not measured"
-        if of == "gain":  # whose lower end assumes nothing of it
+        if of == "gain":  # whose end holds whatever the factor allows there
             known = "no measurement says what happens there"
         return f"Record {pair} first: it was never recorded, so {known}."
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"

@@ -205,7 +205,7 @@ def arrays_of(result):
         ((np.ma.masked_all(2), 1), "a tuple with masked entries, which are no"),
         ([Decimal("sNaN")] * 3, "a list of "),
         (within_itself(), "a list "),
-        (np.full(array.shape, 10**400, dtype=object), "numbers beyond what a float"),
+        (np.full(array.shape, 10**400, dtype=object), "numbers that no float"),
         (np.full(array.shape, True, dtype=object), "no numbers, as (True|.*True) is"),
         (array.astype(str).tolist(), "of texts|the text"),
         (array.astype(bool), "must return .* it returns .*(True|False)"),

@@ -76,6 +76,8 @@ class Correction:
         """Return whether at most a fifth of what is hidden is left."""
         return (
             not self.learned.units
+            # of the simulator as it was given: with a history, the actions before an
+            # episode are not known, and its first rows may fit less well for that
             and not self.plain.odd_starts.any()
             and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
         )

@@ -580,7 +580,7 @@ def _describe_entries(value: Any) -> str:
         for entry in array.flat:
             if not _is_number(entry):
                 return f"{name} of objects that are no numbers, as {_checks.show(entry)} is"
-        return f"{name} of numbers beyond what a float can hold"
+        return f"{name} of numbers that no float can hold"
     return f"{name} of {_ENTRIES.get(array.dtype.kind, 'no numbers')}"
 
 

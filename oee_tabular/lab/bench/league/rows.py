@@ -36,16 +36,11 @@ OF_LEAGUE = (
 def require_rows(table: pd.DataFrame) -> None:
     """Require the rows of a run: their columns, one of each log, and the references."""
     conform(table, "table", pd.DataFrame)
-    wanted = [*TEXT_COLUMNS, *NUMBER_COLUMNS, "seed", "identical"]
-    missing = [name for name in wanted if name not in table.columns]
-    if missing:
-        raise ArgumentError(
-            "table", f"must have the columns {', '.join(wanted)}; it lacks {missing[0]}"
-        )
-    if not len(table) or not table.columns.is_unique:
-        raise ArgumentError(
-            "table", f"must have rows, and each column once; it has {len(table)} rows"
-        )
+    _require_columns(
+        table, "table", (*TEXT_COLUMNS, *NUMBER_COLUMNS, "seed", "identical")
+    )
+    if not len(table):
+        raise ArgumentError("table", "must have rows; it has none")
     _require_kinds(table, "table", TEXT_COLUMNS, NUMBER_COLUMNS)
     _require_key(table, "table", LOG_KEY)
     for cell, part in table.groupby(["family", "size"], sort=False):
@@ -71,23 +66,27 @@ def require_frames(
         "table": (table, OF_TABLE, LOG_KEY),
     }
     for name, (frame, (texts, numbers), key) in frames.items():
-        for column in dict.fromkeys((*key, *texts, *numbers)):
-            if column not in frame:
-                raise ArgumentError(
-                    name,
-                    f"must have a column {column}; it has"
-                    f" {', '.join(map(str, frame.columns)) or 'none'}",
-                )
-        if not frame.columns.is_unique:
-            twice = frame.columns[frame.columns.duplicated()][0]
-            raise ArgumentError(
-                name,
-                f"must have each column once; {_checks.show(twice)} is there twice",
-            )
+        _require_columns(frame, name, (*key, *texts, *numbers))
         _require_kinds(frame, name, texts, numbers)
         _require_key(frame, name, key)
     _require_known(table, "table", cells, "cells", CELL_KEY)
     _require_known(league, "league", cells, "cells", LEAGUE_KEY)
+
+
+def _require_columns(frame: pd.DataFrame, name: str, wanted: Sequence[str]) -> None:
+    """Require that a frame has these columns, and each of its columns once."""
+    for column in wanted:
+        if column not in frame:
+            raise ArgumentError(
+                name,
+                f"must have a column {column}; it has"
+                f" {', '.join(map(str, frame.columns)) or 'none'}",
+            )
+    if not frame.columns.is_unique:
+        twice = frame.columns[frame.columns.duplicated()][0]
+        raise ArgumentError(
+            name, f"must have each column once; {_checks.show(twice)} is there twice"
+        )
 
 
 def _require_kinds(
