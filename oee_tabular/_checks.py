@@ -581,12 +581,14 @@ def collection(
     if type(value) is tuple:
         return value
     try:
-        if isinstance(value, str | bytes) or is_sparse(value):
+        if isinstance(value, str | bytes):
             raise TypeError
         is_known = type(value) is list or (may_be_set and isinstance(value, Set))
         if not is_known:
             _require_order(value, name, rule)
-        if hasattr(value, "__array__") and type(value) is not np.ndarray:
+        # an array of another class, or a sparse matrix, which is a TypeError there
+        is_array = hasattr(value, "__array__") or hasattr(value, "tocsr")
+        if is_array and type(value) is not np.ndarray:
             value = _plain(value, name)
         return tuple(value)
     except ArgumentError:

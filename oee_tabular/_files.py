@@ -118,6 +118,7 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a user's regular file to read its bytes; all others are an error."""
+    local(path)
     require_regular(path)
     # should a pipe have taken the file's place, this does not wait for its writer
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -416,6 +417,18 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
             "must hold the arrays that were saved in it; it is damaged, or was edited",
         )
     return arrays
+
+
+def read_array(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """Read the array of an npy file; an ArgumentError names what another file holds."""
+    arrays = read_npz(path)
+    if "array" not in arrays:
+        raise ArgumentError(
+            repr(os.fspath(path)),
+            "must hold one array, as numpy.save writes it; it holds"
+            f" {', '.join(arrays)}",
+        )
+    return arrays["array"]
 
 
 def _read_members(handle: IO[bytes], name: str) -> dict[str, NDArray[Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from html import escape
 from typing import TextIO
 
@@ -30,6 +31,12 @@ LOOK_ALIKES = {
     "\N{ALMOST EQUAL TO}": "~",
 }
 _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
+
+
+def write_day(seconds: float) -> str:
+    """Write the day (UTC) of a number of seconds since 1970."""
+    day = datetime.fromtimestamp(seconds, UTC)
+    return f"{day.day} {day:%B %Y}"
 
 
 def print_text(text: str, stream: TextIO | None) -> None:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import oee_tabular as oee  # whose rooms are imported on use
-from oee_tabular import _writing
-from oee_tabular._arguments import literal, named_specs
+from oee_tabular import _printing, _writing
 from oee_tabular.cli.evaluation_options import Asked
 from oee_tabular.cli.inputs import (
-    count_log_files,
     describe_default_discount,
     note_warnings,
     policies_of,
@@ -92,7 +90,7 @@ def _evaluate_example(asked: Asked, knob: Mapping[str, Any]) -> Report:
     policies: Any = default.policies
     if asked.policy is not None:
         task = task_of("gridworld:10,slip=0.3", asked.discount)
-        policies = policies_of(asked.policy, task)
+        policies = policies_of(asked.policies, task)
     common = asked.common | {"normalized": asked.normalized is not False}
     return oee.evaluate(problem, policies, target=default.target, **common, **knob)
 
@@ -107,9 +105,6 @@ def _evaluate_continuous(
     """Evaluate policies of a continuous task."""
     from oee_tabular.report import add_log_notes
 
-    common = asked.common
-    common["fit"] = asked.fit.split(",") if asked.fit else asked.fit
-    common["history"] = literal(asked.history, "--history")
     _refuse_given(
         {
             "--rewards": asked.rewards,
@@ -134,7 +129,8 @@ def _evaluate_continuous(
             columns=read_columns(asked.column, log),
             horizon=asked.horizon,
             discount=CONTINUOUS_DISCOUNT if asked.discount is None else asked.discount,
-            **common,
+            **asked.common,
+            **asked.for_continuous,
         )
     return add_log_notes(report, notes)
 
@@ -149,7 +145,7 @@ def _evaluate_finite(
     """Evaluate policies by the files of a simulator and a log."""
     from oee_tabular.report import add_log_notes, evaluate_showing
 
-    task, problem, notes = read_problem(
+    task, problem, notes, n_files = read_problem(
         simulator,
         log,
         discount=asked.discount,
@@ -163,7 +159,7 @@ def _evaluate_finite(
         trials=asked.trials,
         success=asked.success,
     )
-    facts = _describe_files(asked, simulator, log, task, problem)
+    facts = _describe_files(asked, simulator, log, n_files, task)
     known: dict[str, Any] = read_box(asked.box)
     for name, path in (("features", asked.features), ("tie", asked.tie)):
         if path is not None:
@@ -178,7 +174,7 @@ def _evaluate_finite(
 
     report = evaluate_showing(
         problem,
-        policies_of(asked.policy, task),
+        policies_of(asked.policies, task),
         None if show is None else show_with_notes,
         facts=facts,
         target=target,
@@ -193,18 +189,16 @@ def _describe_files(
     asked: Asked,
     simulator: str,
     log: list[str],
+    n_files: int,
     task: oee.tasks.NamedTask,
-    problem: oee.Problem,
 ) -> dict[str, Any]:
     """Return the facts of a report on what it was made from."""
-    from oee_tabular.report.page import date_of
-
-    specs = named_specs(asked.policy or ["optimal"])
+    specs = asked.policies
     facts: dict[str, Any] = {
         "simulator_name": simulator,
         "log_name": ", ".join(log),
         "log_files": log,
-        "number_of_log_files": count_log_files(log, problem.log),
+        "number_of_log_files": n_files,
         "action_noise": asked.action_noise,
         "policy_names": specs,
         "date": date_of([simulator, *log, *specs.values()]),
@@ -227,6 +221,15 @@ def _describe_files(
             f"{simulator} with action noise {asked.action_noise:g}: {task.mdp!r}"
         )
     return facts
+
+
+def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
+    """Return the day (UTC) of the newest of the files; "" where none exists.
+
+    The same inputs give the same day.
+    """
+    times = [Path(file).stat().st_mtime for file in files if Path(file).is_file()]
+    return _printing.write_day(max(times)) if times else ""
 
 
 def _read_target(asked: Asked, task: oee.tasks.NamedTask) -> oee.FiniteMDP | None:

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from oee_tabular._arguments import literal
+from oee_tabular.cli.inputs import read_named_policies
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
@@ -178,6 +180,19 @@ class Asked:
             "--impossible": self.impossible,
             "--trials": self.trials,
             "--success": self.success,
+        }
+
+    @property
+    def policies(self) -> dict[str, str]:
+        """Return the SPECs of the policies by their names."""
+        return read_named_policies(self.policy)
+
+    @property
+    def for_continuous(self) -> dict[str, Any]:
+        """Return the keyword arguments that only a continuous task has."""
+        return {
+            "fit": self.fit.split(",") if self.fit else self.fit,
+            "history": literal(self.history, "--history"),
         }
 
     @property

@@ -110,7 +110,7 @@ def improve(
     page = _check_page(report, overwrite=overwrite)
     factor = _read_factor(unrecorded)
     known: dict[str, Any] = read_box(box)
-    task, problem, notes = read_problem(
+    task, problem, notes, _ = read_problem(
         simulator,
         log,
         discount=discount,

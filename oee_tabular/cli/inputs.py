@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -206,12 +206,14 @@ def _as_mdp(
     return oee.FiniteMDP.from_gymnasium(made, discount)
 
 
-def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str, Any]:
-    """Read policies from NAME=SPEC or SPEC; without any, the optimal one."""
-    return {
-        name: policy_of(spec, task, "--policy")
-        for name, spec in named_specs(specs or ["optimal"]).items()
-    }
+def read_named_policies(given: list[str] | None) -> dict[str, str]:
+    """Read the SPECs of policies by their names; without any, the optimal one."""
+    return named_specs(given or ["optimal"])
+
+
+def policies_of(specs: Mapping[str, str], task: oee.tasks.NamedTask) -> dict[str, Any]:
+    """Read the policies that the SPECs name, as (S, A) arrays."""
+    return {name: policy_of(spec, task, "--policy") for name, spec in specs.items()}
 
 
 def read_columns(given: list[str] | None, log: list[str] | None) -> dict[str, Any]:
@@ -264,7 +266,7 @@ def _split_label(column: str, label: str, log: list[str]) -> Any:
     return label
 
 
-def count_log_files(log: list[str], recorded: Any) -> int:
+def _count_log_files(log: list[str], recorded: Any) -> int:
     """Return how many files hold a log, by its names; of counts, how many did."""
     from oee_tabular.data.files import find_log_files
 
@@ -331,7 +333,7 @@ def read_problem(
     column: list[str] | None = None,
     trials: str | None = None,
     success: list[str] | None = None,
-) -> tuple[oee.tasks.NamedTask, oee.Problem, list[str]]:
+) -> tuple[oee.tasks.NamedTask, oee.Problem, list[str], int]:
     """Read the simulator and the problem with the log's files.
 
     Parameters
@@ -357,6 +359,8 @@ def read_problem(
     notes : list of str
         What the log's reader warned of: rows that count twice, columns that are left
         out, labels that are read as others.
+    n_files : int
+        The number of files that hold the log.
     """
     task = task_of(simulator, discount, initial)
     if not success:  # whose discount is 1
@@ -394,7 +398,7 @@ def read_problem(
         trials=tried,
         **more,
     )
-    return task, problem, notes
+    return task, problem, notes, _count_log_files(log, recorded)
 
 
 @contextmanager
@@ -542,31 +546,22 @@ def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, 
     content : str
         What the values are, for the report.
     """
-    from oee_tabular.data.rules import MOVE
+    from oee_tabular.data.frames import eager
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp import Rows
-    from oee_tabular.ratio.features import feature_array
-    from oee_tabular.ratio.ties import tie_keys
+    from oee_tabular.ratio.features import features_of
+    from oee_tabular.ratio.ties import keys_of
 
     is_table = path.suffix.lower() == ".csv"
     file = repr(str(path))
     if not is_table and path.suffix.lower() != ".npy":
         raise ArgumentError(f"--{name}", f"must be a .npy or .csv file; got {file}")
-    arrays: Any = {"array": csv_frame(str(path))} if is_table else _files.read_npz(path)
-    if "array" not in arrays:
-        raise ArgumentError(
-            file,
-            "must hold one array, as numpy.save writes it; it holds"
-            f" {', '.join(arrays)}",
-        )
-    given = arrays["array"]
+    given = eager(csv_frame(str(path))) if is_table else _files.read_array(path)
     try:
         if name == "tie":
-            keys = tie_keys(given, Rows.of(simulator), simulator)
+            keys = keys_of(given, Rows.of(simulator), simulator)
             return keys, f"{keys.max() + 1} keys"
-        values = feature_array(given, simulator)
+        values, labels = features_of(given, simulator)
     except ValueError as error:
         raise ValueError(f"--{name} {file}: {error}") from error
-    if is_table:
-        return values, ", ".join(label for label in given if label not in MOVE)
-    return values, ", ".join(f"feature {k}" for k in range(values.shape[1]))
+    return values, ", ".join(labels)

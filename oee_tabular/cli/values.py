@@ -24,6 +24,7 @@ from oee_tabular.cli.inputs import (
     policies_of,
     policy_of,
     read_box,
+    read_named_policies,
     read_problem,
 )
 from oee_tabular.cli.options import (
@@ -167,7 +168,7 @@ def compare(
     _require_contest(simulator, policy)
     refuse_beside_quick(quick, box, unrecorded, interval_seconds)
     known: dict[str, Any] = read_box(box) | read_knob(unrecorded, interval_seconds)
-    task, problem, notes = read_problem(
+    task, problem, notes, _ = read_problem(
         simulator,
         log,
         discount=discount,
@@ -186,7 +187,7 @@ def compare(
 
     report = contest_showing(
         problem,
-        policies_of(policy, task),
+        policies_of(read_named_policies(policy), task),
         None if as_json else show,
         confidence=confidence,
         quick=quick,
@@ -318,7 +319,7 @@ def plan(
     if output is not None:
         file = _files.new_file(output, "--output", overwrite=overwrite, endings=ENDINGS)
     asked = _read_plan_options(plan_option or []) | read_box(box)
-    task, problem, notes = read_problem(
+    task, problem, notes, _ = read_problem(
         simulator,
         log,
         discount=discount,
@@ -333,7 +334,7 @@ def plan(
     _progress.report_step(f"plan for {transitions} transitions")
     made = oee.plan_data_collection(
         problem,
-        policies_of(policy, task),
+        policies_of(read_named_policies(policy), task),
         n=transitions,
         sampling="free" if free else "behavior",
         confidence=confidence,

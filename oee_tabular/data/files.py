@@ -358,17 +358,18 @@ def find_log_files(path: Paths, *, warns: bool = False) -> list[LogFile]:
             " from_frame reads",
         )
     else:
-        given = list(_checks.collection(path, "path", "paths of files"))
-        # asked before the files, of which a list may name a million
-        _refuse_again([one for one in given if isinstance(one, str)])
-    some = [file for one in given for file in _files_at(_files.local(one))]
+        given = _checks.collection(path, "path", "paths of files")
+    names = [_files.local(one) for one in given]
+    # asked before the files, of which a list may name a million
+    _refuse_again(names)
+    some = [file for name in names for file in _files_at(name)]
     if not some:
         raise ArgumentError("path", "must name files; it is an empty list")
     _refuse_again([file.path for file in some])
     _refuse_links_to_one_file(some)
     if warns:
-        for one in given:
-            _warn_of_folder(Path(_files.local(one)), some)
+        for name in names:
+            _warn_of_folder(Path(name), some)
     return some
 
 

@@ -318,9 +318,9 @@ def _lose_headers(path: str, piece: Piece, labels: list[str]) -> Piece:
 
 def read_labels(path: str) -> list[str]:
     """Return the labels of a table's columns; ArgumentError for another file."""
-    if path.lower().endswith(".parquet"):
-        return _plain_labels(read_parquet_header(path).stored)
-    return _csv_header(_files.local(path))[0]
+    if not path.lower().endswith(".parquet"):
+        return _csv_header(path)[0]
+    return _plain_labels(read_parquet_header(path).stored)
 
 
 def _plain_labels(labels: Iterable[str]) -> list[str]:
@@ -957,16 +957,15 @@ def csv_frame(path: str, *, has_flags: bool = True) -> Any:
     whether true and false are flags, not names. Raises an ArgumentError for another
     file, and for a line that has other fields.
     """
-    name = _files.local(path)
-    labels, _, encoding = _csv_header(name)
+    labels, _, encoding = _csv_header(path)
     named = [label for label in labels if label]
     if len(labels) > MAX_COLUMNS or len(set(named)) < len(named):
         raise ArgumentError(
-            f"{name!r}",
+            f"{path!r}",
             f"must have at most {MAX_COLUMNS} columns that differ; it has"
             f" {_checks.show(', '.join(labels)[:100])}",
         )
-    for row, line in enumerate(itertools.islice(_csv_lines(name, encoding), 1, None)):
+    for row, line in enumerate(itertools.islice(_csv_lines(path, encoding), 1, None)):
         problem = line.problem
         if not problem and len(line.fields) != len(labels):
             problem = (
@@ -976,14 +975,14 @@ def csv_frame(path: str, *, has_flags: bool = True) -> Any:
         if not problem and line.fields == labels:
             problem = HEADER_RULE
         if problem:
-            raise ArgumentError(f"{name!r}: row {row} (line {line.number})", problem)
-    with _csv_errors(name), open_csv(name) as handle:
+            raise ArgumentError(f"{path!r}: row {row} (line {line.number})", problem)
+    with _csv_errors(path), open_csv(path) as handle:
         frame = _call_pandas(
             handle, encoding=encoding, keep_default_na=False, na_values=[""]
         )
     flags = [label for label in frame if frame[label].dtype.kind == "b"]
     if flags and not has_flags:
-        with _csv_errors(name), open_csv(name) as handle:
+        with _csv_errors(path), open_csv(path) as handle:
             texts = _call_pandas(handle, encoding=encoding, dtype=str)
         frame[flags] = texts[flags]
     # a label that is empty has the name that pandas gives it

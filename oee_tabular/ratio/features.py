@@ -198,17 +198,33 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     S, d); or a data frame with columns state, action, next_state (numbers or the
     simulator's names) and one for each feature, 0 for transitions that are not in it.
     """
-    matrix = simulator.transitions
-    rows = Rows.of(simulator)
     if not callable(features) and is_frame(features):
-        return features_in(features, simulator, "features")[0]
-    moves = rows.transitions
-    given = features(*moves) if callable(features) else features
-    array = _checks.float_array(given, "features")
+        return features_of(eager(features), simulator)[0]
+    if callable(features):
+        features = features(*Rows.of(simulator).transitions)
+    return features_of(_checks.float_array(features, "features"), simulator)[0]
+
+
+def features_of(given: Any, simulator: FiniteMDP) -> tuple[Array, list[str]]:
+    """Return features (entries, d) on the simulator's transitions, and their names.
+
+    ``given`` is an array of numbers or a data frame whose rows are read, both in the
+    forms of ``feature_array``.
+    """
+    matrix = simulator.transitions
+    if not isinstance(given, np.ndarray):
+        columns, entry = _moves_of(given, simulator, "features")
+        values = np.zeros((matrix.nnz, len(columns)))
+        for k, column in enumerate(columns):
+            values[entry, k] = column.finite()
+        return values, [column.label for column in columns]
+    if given.dtype.kind not in "biuf":
+        raise ArgumentError("features", f"must be real numbers; they are {given.dtype}")
+    array = given.astype(np.float64)
     shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
     written = array.shape
     if array.ndim >= 3 and array.shape[:3] == shape:
-        array = array[moves]
+        array = array[Rows.of(simulator).transitions]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
         raise ArgumentError(
             "features",
@@ -221,7 +237,7 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
         raise ArgumentError(
             "features", f"must be finite; feature {k} at {where} is {array[entry, k]}"
         )
-    return array
+    return array, [f"feature {k}" for k in range(array.shape[1])]
 
 
 def _check_points(coordinates: object, n: int, rule: str) -> Array:
@@ -296,24 +312,12 @@ UNNAMED_PREFIX = "Unnamed: "
 EXACT_INTEGER_LIMIT = 2.0**53
 
 
-def features_in(
-    frame: Any, simulator: FiniteMDP, source: str
-) -> tuple[Array, list[str]]:
-    """Return a frame's features on the simulator's transitions, and their names.
+def keys_in(table: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
+    """Return the integer keys of a data frame, (entries,), one for every transition.
 
-    The array is (entries, d), 0 for transitions that are not in the frame. ``source``
-    is the frame's name in errors.
+    The frame's rows are read; ``source`` is its name in errors.
     """
-    columns, entry = _moves_of(frame, simulator, source)
-    values = np.zeros((simulator.transitions.nnz, len(columns)))
-    for k, column in enumerate(columns):
-        values[entry, k] = column.finite()
-    return values, [column.label for column in columns]
-
-
-def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
-    """Return a frame's integer keys, (entries,), one for every transition."""
-    columns, entry = _moves_of(frame, simulator, source)
+    columns, entry = _moves_of(table, simulator, source)
     if len(columns) > 1:
         labels = words(column.label for column in columns)
         raise ArgumentError(
@@ -338,10 +342,9 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
 
 
 def _moves_of(
-    frame: Any, simulator: FiniteMDP, source: str
+    table: Any, simulator: FiniteMDP, source: str
 ) -> tuple[list[_Column], IntArray]:
     """Return a frame's own columns, and the simulator's entry of each of its rows."""
-    table = eager(frame)
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)
     own = [label for label in labels if label not in MOVE]

@@ -18,14 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._keywords import suggest_keywords
-from oee_tabular.data.frames import is_frame
+from oee_tabular.data.frames import eager, is_frame
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, Rows
 from oee_tabular.ratio import dual
@@ -167,11 +167,17 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
 
     ``tie`` is an array of (entries,) or (S, A, S), a function or a data frame.
     """
+    if not callable(tie) and is_frame(tie):
+        return keys_of(eager(tie), rows, simulator)
     if callable(tie):
         tie = tie(*rows.transitions)
-    elif is_frame(tie):
-        tie = keys_in(tie, simulator, "tie")
-    given = _checks.as_array(tie, "tie")
+    return keys_of(_checks.as_array(tie, "tie"), rows, simulator)
+
+
+def keys_of(given: Any, rows: Rows, simulator: FiniteMDP) -> IntArray:
+    """Return the keys of an array, or of a data frame whose rows are read, from 0."""
+    if not isinstance(given, np.ndarray):
+        given = keys_in(given, simulator, "tie")
     if given.shape == (simulator.n_states, simulator.n_actions, simulator.n_states):
         given = given[rows.transitions]
     if given.shape != rows.arrival.shape:

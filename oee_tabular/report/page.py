@@ -13,11 +13,9 @@ import os
 import platform
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -179,15 +177,6 @@ def _versions() -> dict[str, str]:
 # what it was made from
 
 
-def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
-    """Return the day (UTC) of the newest of the files; "" where none exists.
-
-    The same inputs give the same day.
-    """
-    times = [Path(file).stat().st_mtime for file in files if Path(file).is_file()]
-    return _day(max(times)) if times else ""
-
-
 def date(report: Report) -> str:
     """Return the day to print; "" where there are no files.
 
@@ -195,17 +184,15 @@ def date(report: Report) -> str:
     """
     given = os.environ.get(EPOCH, "")
     try:
-        return _day(int(given)) if given else str(report.facts.get("date", ""))
+        return (
+            _printing.write_day(int(given))
+            if given
+            else str(report.facts.get("date", ""))
+        )
     except (ValueError, OverflowError, OSError):
         raise ArgumentError(
             EPOCH, f"must be a whole number of seconds since 1970; it is {given!r}"
         ) from None
-
-
-def _day(seconds: float) -> str:
-    """Write the day (UTC) of a number of seconds since 1970."""
-    day = datetime.fromtimestamp(seconds, UTC)
-    return f"{day.day} {day:%B %Y}"
 
 
 def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:

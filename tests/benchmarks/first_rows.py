@@ -24,22 +24,19 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import oee_tabular as oee
-from benchmarks.own_cart import HangingLoad
+from benchmarks.own_cart import HangingLoad, Pushed
 from oee_tabular.continuous.correction import residual, starts
 from oee_tabular.continuous.correction.choice import choose_correction
-from oee_tabular.tasks import ContinuousTask, Moves
 
 KINDS = ("true", "last of the episode before", "one start for all", "zeros")
 SHARES, RATIOS, NUMBERS = (0.3, 0.5, 0.7), (5.0, 10.0, 20.0), (3, 5, 10)
 
 
-class Chain(ContinuousTask):
+class Chain(Pushed):
     """Masses on a line between springs; a command pushes the first one."""
 
     name = "chain"
     periodic: tuple[bool, ...]
-    terminates = False
-    n_disturbances = 1
 
     def __init__(self, n_masses=1, stiffness=1.0, friction=0.0, gust=0.0):
         kinds = ("place", "speed")
@@ -69,13 +66,6 @@ class Chain(ContinuousTask):
             speed[:, -1] += self.gust * gusts * np.sqrt(0.025)
             place = place + 0.025 * speed
         return np.stack([place, speed], axis=2).reshape(states.shape)
-
-    def moves(self, states, actions, disturbance):
-        after = self.push(states, self.actions[actions, 0], disturbance[:, 0])
-        return Moves(after, self.reward(after), np.zeros(len(states), dtype=bool))
-
-    def reward_between(self, states, actions, next_states):
-        return self.reward(next_states)
 
     @staticmethod
     def reward(after):

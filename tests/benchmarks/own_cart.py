@@ -31,7 +31,24 @@ STEP = 0.1
 N_EPISODES = 60
 
 
-class HangingLoad(ContinuousTask):
+class Pushed(ContinuousTask):
+    """A system that commands push and gusts disturb, and that never ends.
+
+    Its ``push`` returns the next states, its ``reward`` is of these.
+    """
+
+    terminates = False
+    n_disturbances = 1
+
+    def moves(self, states, actions, disturbance):
+        after = self.push(states, self.actions[actions, 0], disturbance[:, 0])
+        return Moves(after, self.reward(after), np.zeros(len(states), dtype=bool))
+
+    def reward_between(self, states, actions, next_states):
+        return self.reward(next_states)
+
+
+class HangingLoad(Pushed):
     """A cart that carries a load on a rope of 1 m, and should stop at place 0."""
 
     name = "hanging load"
@@ -39,8 +56,6 @@ class HangingLoad(ContinuousTask):
     feature_low = np.array([-8.0, -8.0, -3.0, -8.0])
     feature_high = -feature_low
     periodic = (False,) * 4
-    terminates = False
-    n_disturbances = 1
 
     def __init__(self, levels=5, friction=0.0, gust=0.0):
         self.actions = np.linspace(-FORCE, FORCE, levels)[:, None]
@@ -67,13 +82,6 @@ class HangingLoad(ContinuousTask):
             place = place + h * speed
             angle = angle + h * spin
         return np.stack([place, speed, angle, spin], axis=1)
-
-    def moves(self, states, actions, disturbance):
-        after = self.push(states, self.actions[actions, 0], disturbance[:, 0])
-        return Moves(after, self.reward(after), np.zeros(len(states), dtype=bool))
-
-    def reward_between(self, states, actions, next_states):
-        return self.reward(next_states)
 
     @staticmethod
     def reward(after):

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_array_equal
 
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.exceptions import DataWarning
+from oee_tabular.exceptions import ArgumentError, DataWarning
 
 STATES = np.array([[0.0, 0.1], [0.2, 0.3], [0.4, 0.1], [1.0, 1.0]])
 FOLLOWING = np.array([[0.2, 0.3], [0.4, 0.1], [0.5, 0.0], [2.0, 2.0]])
@@ -111,6 +111,18 @@ def test_commands_are_matched_to_the_nearest_action():
     ):
         assert_array_equal(near.action_numbers(table), [0, 2, 1, 1])
     assert_array_equal(log().action_numbers([-10.0, 10.0]), [0, 1, 0, 1])
+
+
+@pytest.mark.parametrize("n_actions", [2 * 10**6, 5 * 10**6])
+def test_more_actions_than_memory_holds_distances_are_refused(n_actions):
+    n = 10**5
+    states = np.zeros((n, STATES.shape[1]))
+    many = ContinuousTransitions(states, np.zeros((n, 1)), states)
+    actions = np.linspace(-1.0, 1.0, n_actions)[:, None]
+    with pytest.raises(
+        ArgumentError, match=f"actions must be small .*{n_actions} needs"
+    ):
+        many.action_numbers(actions)
 
 
 def test_float32_copies_of_one_state_are_the_same_state():

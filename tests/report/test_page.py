@@ -18,6 +18,7 @@ import pytest
 from helpers import Page, run_command
 
 import oee_tabular as oee
+from oee_tabular.cli.evaluation import date_of
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.report import Report, page
 from oee_tabular.report.text import PLANNED, format_interval, format_value
@@ -382,8 +383,8 @@ def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatc
     for path, day in ((old, 100), (new, 365)):
         path.touch()
         os.utime(path, (day * 86400, day * 86400))
-    assert page.date_of([new, old, "gridworld:3"]) == "1 January 1971"
-    assert page.date_of(["expert"]) == ""
+    assert date_of([new, old, "gridworld:3"]) == "1 January 1971"
+    assert date_of(["expert"]) == ""
     report = oee.evaluate(
         problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"}
     )

@@ -10,7 +10,6 @@ import warnings
 
 import numpy as np
 
-from oee_tabular import _checks
 from oee_tabular.continuous.log.transitions import ContinuousTransitions
 from oee_tabular.continuous.task.base import (
     ContinuousTask,
@@ -59,7 +58,8 @@ def share_commands(task: ContinuousTask, log: ContinuousTransitions) -> Array | 
 
     The shares are those of ``interpolate_weights``, whose mean is the command. None
     where every row took an action of the task, and where the actions are no product
-    grid: a row then counts for the action nearest to its command.
+    grid: a row then counts for the action nearest to its command. Callers have numbered
+    the log's actions before, which refuses more of them than memory holds.
     """
     actions = task.actions
     if (
@@ -70,7 +70,6 @@ def share_commands(task: ContinuousTask, log: ContinuousTransitions) -> Array | 
         return None
     if not is_product_grid(actions):
         return None
-    _checks.require_memory(float(len(log)) * len(actions), "task.actions", len(actions))
     shares = interpolate_weights(log.action.astype(np.float64), actions)
     return None if (shares.max(axis=1) == 1.0).all() else shares
 

@@ -293,9 +293,9 @@ class ContinuousTransitions(LogColumns):
         Raises
         ------
         ValueError
-            If the actions do not fit the log's; if, with ``strict``, a command is not
-            in the set; or if one lies farther off than half of what the actions are
-            apart.
+            If the actions do not fit the log's, or their distances to its commands do
+            not fit into memory; if, with ``strict``, a command is not in the set; or if
+            one lies farther off than half of what the actions are apart.
 
         Warns
         -----
@@ -330,6 +330,9 @@ class ContinuousTransitions(LogColumns):
                 f"must have the {table.shape[1]} coordinates of the task's actions; it"
                 f" has {self.action.shape[1]}",
             )
+        # the differences, their squares and the distances, before the first is made
+        n_values = float(len(self)) * (2 * table.size + len(table))
+        _checks.require_memory(n_values, "actions", len(table))
         distances = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
         nearest = distances.argmin(axis=1)
         distance = distances.min(axis=1)
