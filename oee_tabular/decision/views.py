@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _checks, _printing
 from oee_tabular.decision.candidates import (
+    BUILT_IN,
     CORRECTED,
     LOG,
     RECORDED,
@@ -112,8 +113,8 @@ def write_notes(found: Improvement) -> list[str]:
     """Write what the numbers are, and what they assume."""
     lower = (
         "lower end: the least gain of all models that the log does not reject, where"
-        f" {_write_assumption(found)}; a policy is deployed where it is above 0, because"
-        " an end of 0 promises no gain"
+        f" {_write_assumption(found)}; the policy with the highest one is deployed,"
+        " if that is above 0 (an end of 0 promises no gain)"
     )
     notes = [
         *_explain_names(found),
@@ -160,19 +161,22 @@ def _explain_names(found: Improvement) -> list[str]:
         told.append(f"{SIMULATOR}: the best policy in the simulator as it is")
     if LOG in names:
         told.append(f"{LOG}: the best policy in the log's frequencies")
+    if told and not names <= set(BUILT_IN):
+        told.append("all others: the candidates that were given")
     return ["; ".join(told)] if told else []
 
 
 def _explain_optimism(found: Improvement) -> list[str]:
     """Write by how much ends of policies that this log made were lowered, and why."""
-    cut = {each.name: each.optimism for each in found.candidates if each.optimism > 0.0}
-    if not cut:
+    made = (CORRECTED, *map(recorded_name, RECORDED))
+    cut = {each.name: each.optimism for each in found.candidates if each.name in made}
+    if not any(cut.values()):
         return []
     by = ", ".join(f"“{name}” {x:.2g}" for name, x in cut.items())
     return [
         "A policy that was made from this log looks better in it than it is. Halves of"
         " the log show by how much: one makes a policy, the other judges it. The lower"
-        f" ends above have it subtracted: {by}"
+        f" ends above have this subtracted, the gains do not: {by}"
     ]
 
 

@@ -432,17 +432,18 @@ def verdict_on_simulator(
             one = len(left_out) == 1
             unseen = (
                 f"none of the {pairs} differs significantly by itself, and over all of"
-                f" them differences may cancel (z = {z:.1f})"
+                f" them differences may cancel, z = {z:.1f}"
             )
             if tested == 1:
                 unseen = (
-                    "the one tested state-action pair does not differ significantly (z ="
-                    f" {z:.1f})"
+                    "the one tested state-action pair does not differ significantly, z ="
+                    f" {z:.1f}"
                 )
             return (
                 "The simulator's value lies outside the"
-                f" {'interval' if one else 'intervals'} of {names}, which speaks for a"
-                f" difference from the target. The tests do not see it: {unseen}."
+                f" {'interval' if one else 'intervals'} of {names}, which suggests that"
+                " the target differs. Go by the interval: it adds up what small"
+                f" differences do to the value, and the tests do not see them ({unseen})."
             )
         return (
             f"The data show no significant difference from the simulator in {where}. A"

@@ -540,7 +540,7 @@ def test_the_corrected_simulator_comes_first():
     assert first["interval_method"] == "refits"
     said = report.uncertainty.sentences[0]
     assert said.startswith(
-        "The target's steps differ from the simulator's in x_dot (by "
+        "The target's steps differ from the simulator's in “x_dot” (by "
     )
     assert "theta_dot" in said
     assert "oee (residual)" not in by_row(

@@ -569,7 +569,7 @@ def test_a_row_on_which_every_value_rests_is_named():
         )
     )
     assert said.startswith(
-        " Row 799 of the log alone makes 100% of the unexplained residual in theta_dot"
+        " Row 799 of the log alone makes 100% of the unexplained residual in “theta_dot”"
         " (by 50"
     )
 

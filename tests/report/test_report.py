@@ -569,9 +569,10 @@ def test_what_a_policy_is_worth(changes, sentence):
             ),
             (
                 "The simulator's value lies outside the intervals of “mine” and “b”,"
-                " which speaks for a difference from the target. The tests do not see"
-                " it: the one tested state-action pair does not differ significantly (z"
-                " = 0.0)."
+                " which suggests that the target differs. Go by the interval: it adds up"
+                " what small differences do to the value, and the tests do not see them"
+                " (the one tested state-action pair does not differ significantly, z ="
+                " 0.0)."
             ),
         ),
         (

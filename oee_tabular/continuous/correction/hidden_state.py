@@ -233,7 +233,7 @@ def hidden_state(learned: ResidualSimulator) -> str:
         return ""
     effect = hidden[0].history
     key = (effect.lag, effect.of)
-    same = [c.name for c in hidden if (c.history.lag, c.history.of) == key]
+    same = [f"“{c.name}”" for c in hidden if (c.history.lag, c.history.of) == key]
     text = (
         f"the {effect.of} of {NUMBERS[effect.lag]} ago explains"
         f" {effect.lag_r_squared:.0%} of the residual in {_printing.listing(same)} (a"

@@ -12,7 +12,8 @@ from oee_tabular.continuous.correction.hidden_state import (
 from oee_tabular.continuous.correction.residual import ResidualSimulator
 
 HIDDEN = (
-    "the next state depends on more than the recorded state and action (hidden state)"
+    "the next state depends on more than the recorded state and action (a hidden state,"
+    " or noise in what was recorded)"
 )
 UNITS = "the log's columns seem to be in another unit than the simulator's: "
 
@@ -39,7 +40,7 @@ def describe_starts(learned: ResidualSimulator) -> str:
     odd = np.flatnonzero(learned.odd_starts)
     if len(odd) == 0:
         return ""
-    names = [learned.coordinates[k].name for k in odd]
+    names = [f"“{learned.coordinates[k].name}”" for k in odd]
     return (
         "the first rows of its episodes do not fit the others: they alone make"
         f" {learned.odd_starts[odd].min():.0%} of what is unexplained in"
@@ -49,13 +50,19 @@ def describe_starts(learned: ResidualSimulator) -> str:
 
 def difference(corrected: ResidualSimulator) -> str:
     """Describe in which coordinates the target's steps differ from the simulator's."""
-    changes = ", ".join(
-        f"{c.name} (by {c.residual_scatter:.2g}, where the simulator's own noise is"
-        f" {c.simulator_scatter:.2g}; the correction removes"
-        f" {max(c.explained, 0.0):.1%})"
-        for c in corrected.coordinates
-        if c.differs
-    )
+    told = []
+    for c in corrected.coordinates:
+        if not c.differs:
+            continue
+        noise = f"{c.simulator_scatter:.2g}"
+        beside = ""
+        if noise != "0":
+            beside = f", where the simulator's own noise is {noise}"
+        told.append(
+            f"“{c.name}” (by {c.residual_scatter:.2g}{beside}; the correction removes"
+            f" {max(c.explained, 0.0):.1%})"
+        )
+    changes = ", ".join(told)
     if not changes:
         return (
             "The log shows no difference between the target's steps and the"
@@ -84,7 +91,7 @@ def odd_row(corrected: ResidualSimulator) -> str:
         if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
             return (
                 f" Row {row} of the log alone makes {squares[row] / total:.0%} of the"
-                f" unexplained residual in {c.name} (by"
+                f" unexplained residual in “{c.name}” (by"
                 f" {corrected.left_over[row, k]:.3g}). If it is an error, leave it out,"
                 " because every value depends on it."
             )
