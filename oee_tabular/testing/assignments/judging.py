@@ -40,6 +40,16 @@ N_PLAIN_CASES = 3
 N_PLAIN_CASES_OF_A_WORD = 12
 N_CASES_OF_A_WORD = 40
 MAX_AXES = 64  # that an array of numpy may have
+# to what numpy says most often in a student's function
+NUMPY_REMEDIES = {
+    "could not be broadcast": (
+        "a sum over an axis loses this axis; keepdims=True keeps it"
+    ),
+    "Cannot cast ufunc": (
+        "an array of whole numbers cannot hold the result; make it one of floats, as"
+        " np.zeros(shape) does, or x.astype(float)"
+    ),
+}
 LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "IMPORT_NAME")
 
 Arguments = dict[str, Any]
@@ -228,17 +238,20 @@ class Task:
         self, answer: Any, found: Any, right: Any, arguments: Arguments, kind: Kind
     ) -> str:
         """Return the hint that fits best: of a mistake, of the kind, or of the task."""
-        if self._is_huge_alone(found, right):
-            return (
-                "a division by 0 gives inf, and numpy.nan_to_num makes 1.8e308 of it; say"
-                f" what holds there: {self.hint}"
-            )
+        is_huge = self._is_huge_alone(found, right)
         for mistake in self.mistakes:
-            if self._is_recognised(answer, mistake, found, right, arguments):
+            if not is_huge and self._is_recognised(
+                answer, mistake, found, right, arguments
+            ):
                 return mistake.hint
         hint = self.hint
         if self._is_of_the_kind(answer, found, right, arguments, kind):
             hint = kind.hint
+        if is_huge:
+            return (
+                "a division by 0 gives inf, and numpy.nan_to_num makes 1.8e308 of it; say"
+                f" what holds there: {hint}"
+            )
         if isinstance(right, bool | str):
             return hint
         is_lost = ~np.isfinite(found) & np.isfinite(right)
@@ -496,6 +509,9 @@ def ask(task: Task, answer: Any, arguments: Arguments) -> Any:
         refuse(task, "is not answered yet; write its body and run the cell again")
     except (Exception, SystemExit) as error:
         text = _checks.first_line(error) or "no text"
+        for words, remedy in NUMPY_REMEDIES.items():
+            if words in text:
+                text += f" ({remedy})"
         refuse(task, f"raises {type(error).__name__}{_line_of(error, answer)}: {text}")
     if result is None:
         refuse(task, "returns nothing; end it with return and the result")

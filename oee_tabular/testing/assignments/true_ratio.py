@@ -239,9 +239,10 @@ def _draw_log(
 
 
 def _draw_impossible(rng: np.random.Generator) -> Arguments:
-    """Draw a log with transitions that the simulator never makes."""
+    """Draw a log with transitions that the simulator never makes, one pair's alone."""
     drawn = _draw_log(rng, simulator_has_zeros=True)
     simulator, counts = drawn["simulator"], drawn["counts"]
+    counts[-1, 0] = 0
     for s in range(len(simulator)):
         t = (int(simulator[s, 0].argmax()) + 1) % len(simulator)
         simulator[s, 0, t] = 0.0
@@ -291,7 +292,8 @@ COUNTS_KINDS = (
         "the log has transitions that the simulator never makes",
         _draw_impossible,
         "such a transition counts in n(s, a), and its own ratio is 0. The other"
-        " frequencies of its pair are not made larger.",
+        " frequencies of its pair are not made larger, and a pair that has only such ones"
+        " was recorded all the same: all its ratios are 0.",
     ),
     Kind(
         "probabilities of the simulator are 1e-9",

@@ -9,10 +9,10 @@ def after_03_03(P_tr, by_the_page, zeta):
     np.testing.assert_allclose(by_the_page[P_tr > 0], zeta.values.data, rtol=1e-12)
 
 
-def after_03_09(T, by_the_page, policy, reweighted, target):
+def after_03_09(T, J_of_paper, policy, reweighted, target):
     assert abs(reweighted.transitions - target.transitions).max() < 1e-15
     np.testing.assert_allclose(
-        by_the_page, oee.policy_value(reweighted, policy, horizon=T), rtol=1e-9
+        J_of_paper, oee.policy_value(reweighted, policy, horizon=T), rtol=1e-9
     )
 
 
