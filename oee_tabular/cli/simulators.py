@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -121,8 +121,9 @@ def _has_probabilities(
 ) -> bool:
     """Return whether a table has a column of probabilities, or else holds samples.
 
-    Raises an ArgumentError for a label that may be another spelling of probability, as
-    the rows of a table without it would be samples.
+    Raises an ArgumentError for a label that may be another spelling of probability, and
+    for a column that sums to 1 as probabilities do, as the rows of a table without it
+    would be samples.
     """
     from oee_tabular.data.aliases import (
         DOUBTS,
@@ -137,18 +138,54 @@ def _has_probabilities(
     if any(plain(label) in POLICY_PROBABILITY for label in labels):
         return True
     used = set(columns.values())
+    unknown = []
     for label in labels:
         is_known = label in used or plain(label) in DOUBTS
         is_known |= find_field(label, has_vectors=False) is not None
         if not is_known and resembles_probability(label):
-            word = _checks.escape_controls(shlex.quote(f"{PROBABILITY}={label:.80}"))
-            raise ArgumentError(
-                repr(path),
-                f"must have columns whose meaning is clear; {_checks.show(label)}"
-                f" resembles {PROBABILITY} (to read it: --column {word}; to leave it"
-                f" out, where each row is a sample: --column {PROBABILITY}=)",
-            )
+            _ask_after(path, label, f"resembles {PROBABILITY}")
+        if not is_known and label:
+            unknown.append(label)
+    pair = [_find_label(field, labels, columns) for field in FIELDS[:2]]
+    for label in _find_sums_of_one(path, pair, unknown):
+        _ask_after(path, label, "sums to 1 for each state and action, as probabilities")
     return False
+
+
+def _ask_after(path: str, label: str, why: str) -> NoReturn:
+    """Raise an ArgumentError for a column that may be the probability."""
+    word = _checks.escape_controls(shlex.quote(f"{PROBABILITY}={label:.80}"))
+    raise ArgumentError(
+        repr(path),
+        f"must have columns whose meaning is clear; {_checks.show(label)} {why} (to read"
+        f" it: --column {word}; to leave it out, where each row is a sample: --column"
+        f" {PROBABILITY}=)",
+    )
+
+
+def _find_sums_of_one(path: str, pair: list[Any], labels: list[str]) -> Iterator[str]:
+    """Yield the labels of columns that sum to 1 over the rows of each pair.
+
+    ``pair`` are the labels of states and actions. A column of ones and zeros is none:
+    flags of single rows would be.
+    """
+    from oee_tabular.data.tables import csv_frame
+
+    is_csv = path.lower().endswith((".csv", ".csv.gz"))
+    if None in pair or not labels or not is_csv:
+        return
+    try:
+        frame = csv_frame(path)
+    except ArgumentError:
+        return  # the reader of samples says what is wrong
+    for label in labels:
+        values = frame[label]
+        if values.dtype.kind != "f" or not values.between(0.0, 1.0).all():
+            continue
+        sums = values.groupby([frame[column] for column in pair]).sum()
+        if values.isin((0.0, 1.0)).all() or (abs(sums - 1.0) > SUM_TOLERANCE).any():
+            continue
+        yield label
 
 
 def load_samples(files: Any, columns: Mapping[str, Any]) -> Any:

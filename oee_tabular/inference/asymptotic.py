@@ -201,6 +201,7 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     if sampling is not None:
         facts = {
             "unmet_share": float(share @ unmet),
+            "most_unmet_row": int(np.argmax(share * unmet)),
             "sampling_error": float(np.sqrt(variance)),
         }
     if problem.dropped.any():

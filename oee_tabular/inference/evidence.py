@@ -18,6 +18,7 @@ from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
 # values may be 1e14 times as large at usual discounts, and their squares must be floats
 MAX_REWARD = 1e140
+REWARD_ERRORS = 4.0  # of a sampled mean reward: the true one is hardly farther off
 N_ROWS_SHOWN = 5  # of the rows that an error names
 MAX_HALVINGS = 80  # of an interval of log factors, to the last digit
 
@@ -191,13 +192,14 @@ def possible_values(evidence: Evidence) -> tuple[float, float]:
 
     The rewards of the pairs that the policy can take, at their least and at their most
     in every step, are summed with their weights gamma^t. Where every payment ends the
-    episode, there is one at most: a probability of success is in [0, 1]. The ends are
-    infinite where the simulator is known from samples, as its rewards are not certain
-    then, and where endless rewards have no discount.
+    episode, there is one at most: a probability of success is in [0, 1]. Where the
+    simulator is known from samples, a step may lead where none did, and the rewards are
+    those of all pairs, each with ``REWARD_ERRORS`` standard errors of its mean. The ends
+    are infinite where endless rewards have no discount.
     """
     model = evidence.model
     if model.sampling is not None:
-        return -np.inf, np.inf
+        return _possible_by_samples(evidence, model.sampling.reward_error)
     taken = evidence.rows.spread((evidence.policy > 0).reshape(-1))
     if not taken.any():
         return -np.inf, np.inf
@@ -212,6 +214,30 @@ def possible_values(evidence: Evidence) -> tuple[float, float]:
         lowest, highest, evidence.horizon, model.discount, ends=False
     )
     return max(least, once[0]), min(most, once[1])
+
+
+def _possible_by_samples(
+    evidence: Evidence, reward_error: Csr | None
+) -> tuple[float, float]:
+    """Return between which ends J lies by the rewards that were sampled or logged.
+
+    An episode may be over, so that a step may pay nothing.
+    """
+    model = evidence.model
+    rewards = evidence.transition_rewards
+    if (evidence.horizon is None and model.discount == 1.0) or not len(rewards):
+        return -np.inf, np.inf
+    beside = np.zeros(len(rewards))
+    if reward_error is not None:
+        variance, _ = align(reward_error, model.transitions)
+        beside = REWARD_ERRORS * np.sqrt(variance)
+    return possible_sums(
+        min(float((rewards - beside).min()), 0.0),
+        max(float((rewards + beside).max()), 0.0),
+        evidence.horizon,
+        model.discount,
+        ends=False,
+    )
 
 
 def _is_paid_once(evidence: Evidence, taken: BoolArray) -> bool:

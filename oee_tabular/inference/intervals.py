@@ -351,7 +351,7 @@ def interval(
     anywhere (to first order), and the others are refused. All intervals widen for a
     sampled simulator's uncertainty in first states, rewards and unsampled transitions
     (``inference.asymptotic``; ``unmet_share`` is the share of time that the latter may
-    take). ``sampling`` includes neither.
+    take, most of it in row s*A + a = ``most_unmet_row``). ``sampling`` includes neither.
 
     Examples
     --------

@@ -504,6 +504,20 @@ def distance_from_simulator(
     )
 
 
+def unmet(share: float, pair: str) -> str:
+    """Say where the samples of a simulator say nothing, and what to do.
+
+    ``share`` is that of the policy's time, ``pair`` the name of the pair with the most.
+    """
+    return (
+        f"The policy spends {_printing.share(share)} of its time where neither the"
+        f" simulator's samples nor the log show what follows, most of it in {pair}: the"
+        " interval lets it lead anywhere. If episodes are over there, make the simulator"
+        " anew of samples that say so (--column terminated=LABEL), or that have rows"
+        " which lead from this state back to it."
+    )
+
+
 def assumption(
     factor: float,
     unrecorded: int,

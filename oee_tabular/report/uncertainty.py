@@ -56,6 +56,7 @@ MIN_Z = 3.0
 TEST_LEVEL = 0.05
 # the share of a policy's time in unrecorded pairs up to which a report does not say
 # what its interval lets them do
+MAX_UNMET_SHARE_UNTOLD = 0.1  # of time, where samples of a simulator say nothing
 MAX_SHARE_UNTOLD = 0.01
 # of the value: a smaller standard error is rounding
 ERROR_TOLERANCE = 1e-12
@@ -660,9 +661,11 @@ def add_comparison(
         coverage = default[name].diagnostics.get("coverage")
         share = None if coverage is None else 1.0 - coverage
         quoted = methods.get(WITH_TRIALS, methods[LIKELIHOOD])
-        assumptions[name] = _write_assumption(
-            quoted, share, scale, has_box=known.has_box
+        told = (
+            _write_assumption(quoted, share, scale, has_box=known.has_box),
+            _write_unmet(quoted, problem),
         )
+        assumptions[name] = " ".join(filter(None, told))
         sentences = [_describe(methods, scale)]
         if name in found.trials:
             sentences.append(_describe_trials(found.trials[name], level, scale))
@@ -773,6 +776,24 @@ def _write_assumption(
         scaled(anything) if math.isfinite(factor) else None,
         has_box=has_box,
     )
+
+
+def _write_unmet(quoted: Interval, problem: Problem) -> str:
+    """Say where an interval is wide because the simulator's samples say nothing.
+
+    That is so where the policy spends much of its time in a pair that neither the
+    samples nor the log have. "" elsewhere.
+    """
+    share = float(quoted.diagnostics.get("unmet_share", 0.0))
+    sampling = problem.simulator.sampling
+    if quoted.status != "ok" or sampling is None or share <= MAX_UNMET_SHARE_UNTOLD:
+        return ""
+    row = int(quoted.diagnostics["most_unmet_row"])
+    if sampling.pairs[row] > 0.0:
+        return ""
+    names = problem.simulator.names
+    state, action = divmod(row, problem.simulator.n_actions)
+    return text.unmet(share, names.describe_pair(state, action))
 
 
 def _describe_trials(both: JoinedTrials, level: float, scale: float) -> str:

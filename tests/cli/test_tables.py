@@ -306,6 +306,35 @@ def test_a_column_that_may_be_the_probability_is_asked_after(run, folder, label)
     assert oee.FiniteMDP.load("of_samples.npz").sampling is not None
 
 
+@pytest.mark.parametrize("label", ["chance", "weight", "how often", "42"])
+def test_a_column_that_sums_to_one_is_asked_after(run, folder, label):
+    """Rows of a table of probabilities would count as samples without it."""
+    grid = oee.FiniteMDP.load("sim.npz")
+    table = table_of(grid).rename(columns={"probability": label})
+    table.to_csv("t.csv", index=False)
+    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
+    assert f"'{label}' sums to 1 for each state and action, as probabilities (" in told
+    assert not (folder / "made.npz").exists()
+    run(f"export t.csv --initial r0c0 --column 'probability={label}' --output made.npz")
+    assert oee.FiniteMDP.load("made.npz").sampling is None
+
+
+@pytest.mark.parametrize("values", [[0.5, 0.5, 0.5, 0.4], [1.0, 0.0, 1.0, 1.0]])
+def test_other_columns_of_numbers_are_left_out(run, folder, values):
+    frame = pd.DataFrame(
+        {
+            "state": ["a", "a", "b", "b"],
+            "action": ["go", "go", "go", "go"],
+            "next_state": ["a", "b", "a", "b"],
+            "reward": [0.0, 1.0, 0.0, 1.0],
+            "load": values,
+        }
+    )
+    frame.to_csv("t.csv", index=False)
+    run("export t.csv --initial a --output made.npz")
+    assert oee.FiniteMDP.load("made.npz").sampling is not None
+
+
 def test_a_misspelt_column_of_a_table_of_probabilities_is_named(run, folder):
     table = table_of(oee.FiniteMDP.load("sim.npz"))
     table.rename(columns={"reward": "rewrad"}).to_csv("t.csv", index=False)

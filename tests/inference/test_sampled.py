@@ -2,11 +2,14 @@
 another way of computing it.
 """
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular.exceptions import SimulatorWarning
 from oee_tabular.inference.asymptotic import outside_margin
 from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp.empirical import Sampling
@@ -145,11 +148,12 @@ def test_transitions_met_once_may_lead_anywhere():
         oee.Problem(simulator._replace(sampling=None), problem.log), [0, 0]
     )
     assert_allclose(
-        [interval.lower, interval.upper],
+        [interval.diagnostics["uncut_lower"], interval.upper],
         [bare.diagnostics["uncut_lower"] - found.down, bare.upper + found.up],
         rtol=1e-9,
     )
-    assert bare.lower == 0.0  # no reward is below 0
+    assert interval.lower == bare.lower == 0.0  # no reward is below 0
+    assert interval.diagnostics["most_unmet_row"] == 0
     assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
     again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
     assert outside_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
@@ -247,3 +251,62 @@ def test_it_is_kept_where_it_holds(tmp_path):
         == [own.pairs[:2].min()] * 2
     )
     assert oee.tasks.gridworld(3, slip=0.3).sampling is None
+
+
+def shelf(is_marked, seed):
+    """Return a sampled simulator of a row of places and a log, both over at the last.
+
+    Only where it is marked do the samples say that episodes end there.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 8))
+    problems = []
+    for forward, n_episodes in ((0.8, 300), (0.7, 25)):
+        steps = []
+        for episode in range(n_episodes):
+            place = int(rng.integers(0, n - 1))
+            while place < n - 1:
+                after = min(place + 1, n - 1) if rng.random() < forward else place
+                steps.append((episode, place, after, after == n - 1))
+                place = after
+        episodes, state, following, is_over = (
+            np.array(x) for x in zip(*steps, strict=True)
+        )
+        problems.append(
+            oee.Transitions(
+                state,
+                np.zeros(len(state), dtype=int),
+                following,
+                np.where(is_over, 10.0, -1.0),
+                episode=episodes,
+                terminated=is_over if is_marked else None,
+            )
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulatorWarning)
+        simulator = oee.FiniteMDP.from_log(problems[0], discount=0.95, initial=0)
+    return oee.Problem(simulator, problems[1]), np.ones((n, 1))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("horizon", [None, 30])
+def test_no_end_is_beyond_what_rewards_of_samples_can_sum_to(seed, horizon):
+    """Where nobody says that episodes end, the interval allows for what might follow."""
+    problem, policy = shelf(False, seed)
+    problem = oee.Problem(problem.simulator, problem.log, horizon=horizon)
+    found = oee.interval(problem, policy)
+    steps = 1 / 0.05 if horizon is None else (1 - 0.95**horizon) / 0.05
+    assert -steps - 1e-9 <= found.lower <= found.upper <= 10.0 * steps + 1e-9
+    report = oee.evaluate(problem, {"on": policy}, seed=0)
+    said = report.uncertainty.assumptions["on"]
+    assert "neither the simulator's samples nor the log show what follows" in said
+    assert f"in state {policy.shape[0] - 1}" in said
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_end_that_samples_tell_is_certain(seed):
+    problem, policy = shelf(True, seed)
+    report = oee.evaluate(problem, {"on": policy}, seed=0)
+    assert report.uncertainty.assumptions["on"] == ""
+    found = oee.interval(problem, policy)
+    assert found.upper - found.lower < 10.0
