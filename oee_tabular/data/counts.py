@@ -221,6 +221,7 @@ class TransitionCounts:
         if "reward_sum" in columns:
             _check_counted_rewards(columns)
         _checks.instance(recording, Recording, "recording")
+        recording = _require_recording(recording)
         if sample is not None:
             _checks.instance(sample, Transitions, "sample", "Transitions")
         for name in given:
@@ -529,6 +530,27 @@ def _check_counted_rewards(columns: dict[str, Column]) -> None:
         # least and largest of no reward are nan
         is_absent = (n_paid == 0) & np.isnan(columns[name])
         _checks.require_finite(np.where(is_absent, 0.0, columns[name]), name)
+
+
+def _require_recording(recording: Recording) -> Recording:
+    """Return a recording whose numbers and words are such, or raise an ArgumentError."""
+    *numbers, reasons = recording
+    for name, value in zip(Recording._fields, numbers, strict=False):
+        if not (_checks.is_integer(value) or isinstance(value, bool | np.bool_)):
+            raise ArgumentError(
+                f"recording's {name}",
+                f"must be an integer; it is {_checks.show(value)}",
+            )
+    words = _checks.collection(reasons, "recording's reasons", "texts")
+    for k, text in enumerate(words):
+        if not isinstance(text, str):
+            raise ArgumentError(
+                f"recording's reasons[{k}]",
+                f"must be a text; it is {_checks.show(text)}",
+            )
+    return _check_recording(
+        np.array([int(value) for value in numbers]), np.array(words, dtype=np.str_)
+    )
 
 
 def _check_recording(numbers: Column, reasons: Column) -> Recording:

@@ -838,7 +838,13 @@ def _find_timestep_fault(
         return None
     expected = np.where(is_first, 0, before["timestep"] + 1)
     jumps = (is_first | follows) & (columns["timestep"] != expected)
-    rule = f"must be {expected[jumps.argmax()]} (steps of an episode in order from 0)"
+    row = int(jumps.argmax())
+    rule = f"must be {expected[row]} (steps of an episode in order from 0)"
+    if row == 0 and jumps[0] and expected[0] == 0:
+        rule = (
+            "must be 0 (steps of an episode in order from 0; give rows and files in the"
+            " order in which they were written)"
+        )
     return find_fault("timestep", columns["timestep"], {rule: jumps})
 
 

@@ -493,6 +493,11 @@ def padded_log(
         raise ArgumentError(
             "actions", f"must be a list of actions; it has shape {added.shape}"
         )
+    if (added < 0).any():
+        k = int(np.argmax(added < 0))
+        raise ArgumentError(
+            f"actions[{k}]", f"must be at least 0; it is {int(added[k])}"
+        )
     probability = _checks.number_in(probability, "probability", 0.0, 1.0)
     starts = log.episode_starts
     n = len(added)

@@ -217,3 +217,25 @@ def test_episodes_may_be_called_by_texts(tmp_path, ending):
             match=r"episode must (keep the rows of an episode together|.*begins again)",
         ):
             read(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"episodes": "rubbish"},
+            "recording's episodes must be an integer; it is 'rub",
+        ),
+        ({"files": None}, "recording's files must be an integer"),
+        ({"longest": 2.5}, "recording's longest must be an integer"),
+        ({"shortest": 3}, "recording's shortest must be at most longest, 2; it is 3"),
+        ({"dropped": -1}, r"recording's dropped must be in 0..2\*\*53; it is -1"),
+        ({"by_episodes": 2}, "recording's by_episodes must be 0 or 1"),
+        ({"reasons": "one"}, "recording's reasons must be texts; got str"),
+        ({"reasons": (1,)}, r"recording's reasons\[0\] must be a text; it is 1"),
+        ({"reasons": ("\x1b[2J",)}, r"reasons\[0\] must be a text without control"),
+    ],
+)
+def test_a_recording_is_checked_where_it_is_given(changes, text):
+    with pytest.raises(oee.exceptions.ArgumentError, match=text):
+        TransitionCounts([0], [0], [1], [1], recording=TOLD._replace(**changes))

@@ -361,3 +361,17 @@ def test_a_misspelt_next_state_of_several_files_is_placed(tmp_path):
         pytest.warns(SimulatorWarning),
     ):
         oee.FiniteMDP.from_log(log, rewards=[0, 0, 0], initial="hall", discount=0.9)
+
+
+def test_files_in_another_order_are_told(tmp_path):
+    """An episode goes on in the file that was given second."""
+    head = ["state", "action", "next_state", "episode", "timestep"]
+    for name, steps in (("b.csv", (0, 1)), ("a.csv", (2, 3))):
+        rows = [[k, 0, k + 1, 7, k] for k in steps]
+        pd.DataFrame(rows, columns=head).to_csv(tmp_path / name, index=False)
+    paths = [str(tmp_path / name) for name in ("a.csv", "b.csv")]
+    with pytest.raises(
+        ArgumentError, match="give rows and files in the order in which"
+    ):
+        Transitions.load(paths)
+    assert Transitions.load(paths[::-1]).n_episodes == 1

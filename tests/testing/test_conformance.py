@@ -466,6 +466,8 @@ def test_relabelled_and_padded_logs():
     assert padded.state.tolist() == [0, 1, 0, 0, 0]
     assert padded.terminated.tolist() == [False, False, False, True, False]
     assert padded.episode.tolist() == [0, 0, 0, 0, 1]
+    with pytest.raises(ValueError, match=r"^actions\[1\] must be at least 0; it is -1"):
+        padded_log(bare, [0, -1], 0.5)
 
 
 class Unclaimable:
