@@ -137,7 +137,9 @@ def _has_probabilities(
         return columns[PROBABILITY] is not None
     if any(plain(label) in POLICY_PROBABILITY for label in labels):
         return True
-    used = set(columns.values())
+    used: set[Any] = set()
+    for given in columns.values():
+        used.update(given if isinstance(given, tuple) else (given,))
     unknown = []
     for label in labels:
         is_known = label in used or plain(label) in DOUBTS
@@ -146,7 +148,10 @@ def _has_probabilities(
             _ask_after(path, label, f"resembles {PROBABILITY}")
         if not is_known and label:
             unknown.append(label)
-    pair = [_find_label(field, labels, columns) for field in FIELDS[:2]]
+    pair: list[Any] = []
+    for field in FIELDS[:2]:
+        found = _find_label(field, labels, columns)
+        pair += found if isinstance(found, tuple) else (found,)
     for label in _find_sums_of_one(path, pair, unknown):
         _ask_after(path, label, "sums to 1 for each state and action, as probabilities")
     return False
@@ -167,7 +172,8 @@ def _find_sums_of_one(path: str, pair: list[Any], labels: list[str]) -> Iterator
     """Yield the labels of columns that sum to 1 over the rows of each pair.
 
     ``pair`` are the labels of states and actions. A column of ones and zeros is none:
-    flags of single rows would be.
+    flags of single rows would be. Nothing is found in a table that has other faults, of
+    which the reader of samples tells.
     """
     from oee_tabular.data.tables import csv_frame
 
@@ -177,12 +183,15 @@ def _find_sums_of_one(path: str, pair: list[Any], labels: list[str]) -> Iterator
     try:
         frame = csv_frame(path)
     except ArgumentError:
-        return  # the reader of samples says what is wrong
+        return
+    if not {*pair, *labels} <= set(frame.columns) or frame[pair].isna().any(axis=None):
+        return
+    keys = [frame[column] for column in pair]
     for label in labels:
         values = frame[label]
         if values.dtype.kind != "f" or not values.between(0.0, 1.0).all():
             continue
-        sums = values.groupby([frame[column] for column in pair]).sum()
+        sums = values.groupby(keys).sum()
         if values.isin((0.0, 1.0)).all() or (abs(sums - 1.0) > SUM_TOLERANCE).any():
             continue
         yield label

@@ -536,10 +536,11 @@ def _require_recording(recording: Recording) -> Recording:
     """Return a recording whose numbers and words are such, or raise an ArgumentError."""
     *numbers, reasons = recording
     for name, value in zip(Recording._fields, numbers, strict=False):
-        if not (_checks.is_integer(value) or isinstance(value, bool | np.bool_)):
+        is_number = _checks.is_integer(value) or isinstance(value, bool | np.bool_)
+        if not is_number or not 0 <= value <= 2**53:
             raise ArgumentError(
                 f"recording's {name}",
-                f"must be an integer; it is {_checks.show(value)}",
+                f"must be an integer in 0..2**53; it is {_checks.show(value)}",
             )
     words = _checks.collection(reasons, "recording's reasons", "texts")
     for k, text in enumerate(words):

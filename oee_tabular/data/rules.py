@@ -842,8 +842,8 @@ def _find_timestep_fault(
     rule = f"must be {expected[row]} (steps of an episode in order from 0)"
     if row == 0 and jumps[0] and expected[0] == 0:
         rule = (
-            "must be 0 (steps of an episode in order from 0; give rows and files in the"
-            " order in which they were written)"
+            "must be 0 (steps of an episode in order from 0; where another file begins"
+            " this episode, give the files in the order in which they were written)"
         )
     return find_fault("timestep", columns["timestep"], {rule: jumps})
 

@@ -184,11 +184,13 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     rows = evidence.rows
     share = evidence.time_share
     unmet = np.zeros(len(share))
+    is_never_met = np.zeros(len(share), dtype=np.bool_)
     variance = 0.0
     if sampling is not None:
         initial = evidence.model.initial
         values = state_values(fitted, policy, horizon=horizon)
         unmet = _unmet_share(evidence, sampling.pairs)
+        is_never_met = (sampling.pairs == 0.0) & (evidence.n == 0.0)
         spread = float(initial @ values**2) - float(initial @ values) ** 2
         variance = max(spread, 0.0) / sampling.starts
         if sampling.reward_error is not None:
@@ -201,7 +203,8 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     if sampling is not None:
         facts = {
             "unmet_share": float(share @ unmet),
-            "most_unmet_row": int(np.argmax(share * unmet)),
+            "never_met_share": float(share @ is_never_met),
+            "never_met_row": int(np.argmax(share * is_never_met)),
             "sampling_error": float(np.sqrt(variance)),
         }
     if problem.dropped.any():

@@ -11,6 +11,7 @@ from scipy.sparse import csgraph
 
 from oee_tabular import _checks
 from oee_tabular._sparse import align
+from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, largest_reward, occupancy, with_rows
 from oee_tabular.mdp import FiniteMDP, Rows, check_policy, possible_sums
@@ -187,19 +188,22 @@ def unrecorded_share(evidence: Evidence) -> float:
     return float(evidence.time_share[never].sum())
 
 
-def possible_values(evidence: Evidence) -> tuple[float, float]:
+def possible_values(
+    problem: Problem, evidence: Evidence, z: float
+) -> tuple[float, float]:
     """Return between which ends J lies, whatever the target's transitions are.
 
     The rewards of the pairs that the policy can take, at their least and at their most
     in every step, are summed with their weights gamma^t. Where every payment ends the
     episode, there is one at most: a probability of success is in [0, 1]. Where the
     simulator is known from samples, a step may lead where none did, and the rewards are
-    those of all pairs, each with ``REWARD_ERRORS`` standard errors of its mean. The ends
-    are infinite where endless rewards have no discount.
+    those of all pairs, each with ``REWARD_ERRORS`` standard errors of its mean, or z if
+    that is more, and all rewards of the log. The ends are infinite where endless rewards
+    have no discount.
     """
     model = evidence.model
     if model.sampling is not None:
-        return _possible_by_samples(evidence, model.sampling.reward_error)
+        return _possible_by_samples(problem, evidence, max(z, REWARD_ERRORS))
     taken = evidence.rows.spread((evidence.policy > 0).reshape(-1))
     if not taken.any():
         return -np.inf, np.inf
@@ -217,25 +221,35 @@ def possible_values(evidence: Evidence) -> tuple[float, float]:
 
 
 def _possible_by_samples(
-    evidence: Evidence, reward_error: Csr | None
+    problem: Problem, evidence: Evidence, n_errors: float
 ) -> tuple[float, float]:
     """Return between which ends J lies by the rewards that were sampled or logged.
 
-    An episode may be over, so that a step may pay nothing.
+    An episode may be over, so that a step may pay nothing. The log's rewards are those
+    of its rows, of which some may be left out elsewhere.
     """
-    model = evidence.model
-    rewards = evidence.transition_rewards
-    if (evidence.horizon is None and model.discount == 1.0) or not len(rewards):
+    simulator = problem.simulator
+    sampling = simulator.sampling
+    assert sampling is not None
+    if evidence.horizon is None and simulator.discount == 1.0:
         return -np.inf, np.inf
-    beside = np.zeros(len(rewards))
-    if reward_error is not None:
-        variance, _ = align(reward_error, model.transitions)
-        beside = REWARD_ERRORS * np.sqrt(variance)
+    means = replace(evidence, model=simulator).transition_rewards
+    beside = np.zeros(len(means))
+    if sampling.reward_error is not None:
+        variance, _ = align(sampling.reward_error, simulator.transitions)
+        beside = n_errors * np.sqrt(variance)
+    log = problem.log
+    logged = [evidence.transition_rewards, [0.0]]
+    if isinstance(log, Transitions):
+        logged.append([] if log.reward is None else log.reward)
+    elif log.reward_min is not None and log.reward_max is not None:
+        logged += [log.reward_min, log.reward_max]
+    rewards = np.concatenate([means - beside, means + beside, *logged])
     return possible_sums(
-        min(float((rewards - beside).min()), 0.0),
-        max(float((rewards + beside).max()), 0.0),
+        float(np.nanmin(rewards)),
+        float(np.nanmax(rewards)),
         evidence.horizon,
-        model.discount,
+        simulator.discount,
         ends=False,
     )
 

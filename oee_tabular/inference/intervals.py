@@ -351,7 +351,8 @@ def interval(
     anywhere (to first order), and the others are refused. All intervals widen for a
     sampled simulator's uncertainty in first states, rewards and unsampled transitions
     (``inference.asymptotic``; ``unmet_share`` is the share of time that the latter may
-    take, most of it in row s*A + a = ``most_unmet_row``). ``sampling`` includes neither.
+    take, ``never_met_share`` the share in pairs that neither the samples nor the log
+    have, most of it in row s*A + a = ``never_met_row``). ``sampling`` includes neither.
 
     Examples
     --------
@@ -731,7 +732,7 @@ def _likelihood_interval(
     if factor == 1.0 and sampling is not None:
         is_searched = False
         quoted = sampling
-    possible = possible_values(evidence)
+    possible = possible_values(problem, evidence, z)
     facts |= {"lowest_possible": possible[0], "highest_possible": possible[1]}
     quoted = _cut(*quoted, possible, facts, "uncut")
     if sampling is not None:

@@ -219,7 +219,11 @@ def features_of(given: Any, simulator: FiniteMDP) -> tuple[Array, list[str]]:
             values[entry, k] = column.finite()
         return values, [column.label for column in columns]
     if given.dtype.kind not in "biuf":
-        raise ArgumentError("features", f"must be real numbers; they are {given.dtype}")
+        raise ArgumentError(
+            "features",
+            f"must be real numbers; they are {given.dtype} (astype(float) makes numbers"
+            " of texts)",
+        )
     array = given.astype(np.float64)
     shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
     written = array.shape

@@ -784,13 +784,10 @@ def _write_unmet(quoted: Interval, problem: Problem) -> str:
     That is so where the policy spends much of its time in a pair that neither the
     samples nor the log have. "" elsewhere.
     """
-    share = float(quoted.diagnostics.get("unmet_share", 0.0))
-    sampling = problem.simulator.sampling
-    if quoted.status != "ok" or sampling is None or share <= MAX_UNMET_SHARE_UNTOLD:
+    share = float(quoted.diagnostics.get("never_met_share", 0.0))
+    if quoted.status != "ok" or share <= MAX_UNMET_SHARE_UNTOLD:
         return ""
-    row = int(quoted.diagnostics["most_unmet_row"])
-    if sampling.pairs[row] > 0.0:
-        return ""
+    row = int(quoted.diagnostics["never_met_row"])
     names = problem.simulator.names
     state, action = divmod(row, problem.simulator.n_actions)
     return text.unmet(share, names.describe_pair(state, action))

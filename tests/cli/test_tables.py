@@ -335,6 +335,34 @@ def test_other_columns_of_numbers_are_left_out(run, folder, values):
     assert oee.FiniteMDP.load("made.npz").sampling is not None
 
 
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        (
+            "s,action,next_state,reward,note\n0,0,1,1,0.5\n1,0,0,0,0.3\n",
+            "--column state=S",
+            "did you mean 's'?",
+        ),
+        (
+            "state,action,next_state,reward,x\n,0,1,1,0.5\n,0,0,1,0.5\n1,0,0,0,1.0\n",
+            "",
+            "state[0] must have a value",
+        ),
+    ],
+)
+def test_other_faults_of_a_table_are_told_first(run, folder, text, options, said):
+    (folder / "t.csv").write_text(text)
+    assert said in run(f"export t.csv --initial 0 {options} --output made.npz", code=2)
+
+
+def test_states_in_two_columns_beside_one_of_numbers(run, folder):
+    text = "x,y,action,x2,y2,reward,note\n0,0,go,0,1,1,0.5\n0,1,go,0,0,0,0.8\n"
+    (folder / "t.csv").write_text(text)
+    columns = "--column state=x,y --column next_state=x2,y2"
+    run(f"export t.csv {columns} --initial 0 --output made.npz")
+    assert oee.FiniteMDP.load("made.npz").state_names == ((0, 0), (0, 1))
+
+
 def test_a_misspelt_column_of_a_table_of_probabilities_is_named(run, folder):
     table = table_of(oee.FiniteMDP.load("sim.npz"))
     table.rename(columns={"reward": "rewrad"}).to_csv("t.csv", index=False)

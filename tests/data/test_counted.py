@@ -224,12 +224,13 @@ def test_episodes_may_be_called_by_texts(tmp_path, ending):
     [
         (
             {"episodes": "rubbish"},
-            "recording's episodes must be an integer; it is 'rub",
+            "recording's episodes must be an integer in .* is 'rub",
         ),
         ({"files": None}, "recording's files must be an integer"),
         ({"longest": 2.5}, "recording's longest must be an integer"),
         ({"shortest": 3}, "recording's shortest must be at most longest, 2; it is 3"),
-        ({"dropped": -1}, r"recording's dropped must be in 0..2\*\*53; it is -1"),
+        ({"dropped": -1}, r"dropped must be an integer in 0..2\*\*53; it is -1"),
+        ({"episodes": 2**70}, r"episodes must be an integer in 0..2\*\*53; it is 118"),
         ({"by_episodes": 2}, "recording's by_episodes must be 0 or 1"),
         ({"reasons": "one"}, "recording's reasons must be texts; got str"),
         ({"reasons": (1,)}, r"recording's reasons\[0\] must be a text; it is 1"),

@@ -371,7 +371,7 @@ def test_files_in_another_order_are_told(tmp_path):
         pd.DataFrame(rows, columns=head).to_csv(tmp_path / name, index=False)
     paths = [str(tmp_path / name) for name in ("a.csv", "b.csv")]
     with pytest.raises(
-        ArgumentError, match="give rows and files in the order in which"
+        ArgumentError, match="give the files in the order in which they were"
     ):
         Transitions.load(paths)
     assert Transitions.load(paths[::-1]).n_episodes == 1

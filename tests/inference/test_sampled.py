@@ -153,7 +153,7 @@ def test_transitions_met_once_may_lead_anywhere():
         rtol=1e-9,
     )
     assert interval.lower == bare.lower == 0.0  # no reward is below 0
-    assert interval.diagnostics["most_unmet_row"] == 0
+    assert interval.diagnostics["never_met_share"] == 0.0
     assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
     again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
     assert outside_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
@@ -310,3 +310,31 @@ def test_an_end_that_samples_tell_is_certain(seed):
     assert report.uncertainty.assumptions["on"] == ""
     found = oee.interval(problem, policy)
     assert found.upper - found.lower < 10.0
+
+
+def test_the_rewards_of_the_log_bound_what_is_possible_too():
+    """Samples that paid less than the log's rows do not cut the interval."""
+    sampled = oee.Transitions(
+        [1, 0, 0, 0, 0], [0] * 5, [0, 0, 1, 0, 0], [0, 1.0, 1, 0, 0]
+    )
+    simulator = oee.FiniteMDP.from_log(sampled, discount=0.9, initial=0)
+    log = oee.Transitions([0, 1, 1, 1], [0] * 4, [1, 1, 1, 1], [0, 1.0, 1, 1])
+    for rewards in ("log", "simulator"):
+        problem = oee.Problem(simulator, log, rewards=rewards, impossible="drop")
+        found = oee.interval(problem, np.ones((2, 1)))
+        assert found.diagnostics["highest_possible"] >= 10.0 - 1e-9
+        assert found.lower <= 5.0 <= found.upper  # J where each step pays 1 or 0
+
+
+def test_a_pair_that_the_log_has_was_met():
+    state, action = [0] * 6 + [1] * 6, [0] * 6 + [0, 0, 0, 1, 1, 1]
+    sampled = oee.Transitions(
+        state, action, [0, 0, 0, 1, 1, 1] * 2, [0.0, 0, 0, 1, 1, 1] * 2
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulatorWarning)
+        simulator = oee.FiniteMDP.from_log(sampled, discount=0.9, initial=0)
+    log = oee.Transitions([0, 0, 1, 1], [1, 1, 0, 0], [0, 1, 0, 0], [0.0, 1, 0, 0])
+    policy = np.array([[0.0, 1.0], [1.0, 0.0]])
+    report = oee.evaluate(oee.Problem(simulator, log), {"m": policy}, seed=0)
+    assert "show what follows" not in report.uncertainty.assumptions["m"]
