@@ -41,16 +41,31 @@ def main() -> None:
 
     try:
         if handled:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGINT, _interrupt)
         command()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    except SystemExit as end:
+        # a library may have made an error of its own of it, as numba does while it
+        # compiles
+        if _interrupts and end.code:
+            sys.exit(INTERRUPTED)
+        raise
     finally:
         if handled:
             signal.signal(signal.SIGINT, _leave)
         # Ctrl-C within an exec() of some library makes Python end itself by a signal
         # later on, though it was caught. The next exec() takes that back.
         exec("pass")
+
+
+_interrupts: list[int] = []  # that came while the command ran
+
+
+def _interrupt(number: int, _: object) -> None:
+    """Note that Ctrl-C came, and raise what Python raises for it."""
+    _interrupts.append(number)
+    raise KeyboardInterrupt
 
 
 def _leave(*_: object) -> None:

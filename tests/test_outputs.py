@@ -152,8 +152,11 @@ def test_a_read_only_disk_names_the_file_before_the_work(tmp_path, capsys, monke
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="has no /dev/full")
-@pytest.mark.parametrize("line", ["--help", "reproduce --list"])
-def test_output_that_cannot_be_written_is_one_line(line):
+@pytest.mark.parametrize("line", ["--help", "reproduce --list", "--version"])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_cannot_be_written_is_one_line(line, unbuffered, monkeypatch):
+    """What a buffer holds at the end is no second error."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     with open("/dev/full", "w") as full:
         process = subprocess.run(
             [sys.executable, "-m", "oee_tabular", *line.split()],
@@ -318,6 +321,32 @@ sys.meta_path.insert(0, Finder())
 from oee_tabular.__main__ import main
 main()
 """
+
+
+def test_ctrl_c_that_a_library_makes_an_error_of(tmp_path):
+    """As numba does while it compiles: the exit code is that of Ctrl-C."""
+    change = """os.kill(os.getpid(), signal.SIGINT)
+"""
+    swallowed = """try:
+                os.kill(os.getpid(), signal.SIGINT)
+                signal.sigtimedwait([], 1)
+            except KeyboardInterrupt:
+                raise RuntimeError("no compiled object yet") from None
+"""
+    assert change in INTERRUPTED
+    process = subprocess.run(
+        [
+            *(sys.executable, "-c", INTERRUPTED.replace(change, swallowed)),
+            "oee_tabular.lab.experiments.catalogue",
+            *("reproduce", "fig1a", "--smoke", "--output", tmp_path),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP_SECONDS,
+        check=False,
+    )
+    assert process.returncode == 130
+    assert "Traceback" not in process.stderr
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,9 @@ What is slow to import (numba, cvxpy, pandas) is imported where it is used.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
+import os
 import sys
 import warnings
 from collections import Counter
@@ -214,7 +216,21 @@ def main(arguments: list[str] | None = None) -> None:
             app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         say(f"oee: {_sentence(error)}", err=True)
+        _drop_output()
         sys.exit(2)
+
+
+def _drop_output() -> None:
+    """Drop what standard output does not take, as a full disk.
+
+    Python writes what is left of it when it ends; if that fails, it makes 120 of the
+    exit code, and prints an error of its own.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError):  # of a stream that is no file
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(error: Exception) -> str:
