@@ -121,19 +121,20 @@ class LogColumns:
         is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
         is_first[starts[:-1]] = True
         is_last[starts[1:] - 1] = True
-        if columns["timestep"] is None:
-            first_row = np.repeat(starts[:-1], np.diff(starts))
-            columns["timestep"] = np.arange(len(episode)) - first_row
         given = {name: column for name, column in columns.items() if column is not None}
         before = {
             name: np.concatenate([column[:1], column[:-1]])
             for name, column in given.items()
+            if name in ("next_state", "timestep", "terminated", "truncated")
         }
         faults = find_order_faults(
             given, before, is_first, ~is_first, self._differs, self._show
         )
         if faults:
             raise faults[0].to_error()
+        if columns["timestep"] is None:
+            first_row = np.repeat(starts[:-1], np.diff(starts))
+            columns["timestep"] = np.arange(len(episode)) - first_row
         if columns["truncated"] is None:
             columns["truncated"] = is_last & ~columns["terminated"]
 

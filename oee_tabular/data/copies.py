@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.rules import KEY, MOVE
@@ -479,6 +478,8 @@ def _sum_columns(log: Any) -> tuple[int, ...]:
 
 def _bits_of_numbers(states: Hashes, number: NDArray[Any]) -> float:
     """Return the bits of the numbers of rows of each kind, in each state."""
+    from scipy.special import gammaln  # only of files that look the same
+
     n_k = number.astype(np.float64)
     _, code = np.unique(states, return_inverse=True)
     n_s = np.bincount(code, weights=n_k)

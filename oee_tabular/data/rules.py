@@ -806,7 +806,7 @@ def find_order_faults(
         State and episode, and of timestep, terminated and truncated those that there
         are.
     before : mapping of str to ndarray
-        The same and next_state, of the row before each.
+        Of the row before each: next_state, and those of the last three that there are.
     is_first, follows : ndarray of bool of shape (n,)
         Whether a row begins an episode, and whether it goes on with the one of the row
         before; neither where nothing is known of that row.

@@ -906,10 +906,18 @@ def _parse_runs(texts: Column) -> Column:
     is_first = np.ones(len(texts), dtype=np.bool_)
     is_first[1:] = texts[1:] != texts[:-1]
     starts = np.flatnonzero(is_first)
-    found = [parse_episode(text) for text in texts[starts].tolist()]
+    lengths = np.diff(starts, append=len(texts))
+    words = texts[starts].tolist()
+    try:
+        # most ids are integers as Python writes them, which needs no look at each
+        numbers = list(map(int, words))
+        if list(map(str, numbers)) == words:
+            return np.repeat(np.array(numbers, dtype=np.int64), lengths)
+    except (TypeError, ValueError, OverflowError):
+        pass  # missing, a text, or beyond 64 bits
+    found = [parse_episode(word) for word in words]
     if not all(type(item) is int for item in found):
         return texts
-    lengths = np.diff(starts, append=len(texts))
     return np.repeat(np.array(found, dtype=np.int64), lengths)
 
 
