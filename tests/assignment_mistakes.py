@@ -540,7 +540,52 @@ return np.where(n > 0, z, 1.0 * (simulator > 0))
     (
         "2_counts",
         "n = counts.sum((0, 1), keepdims=True)\nreturn counts / n / simulator",
-        "the frequencies of a pair, counts / (sum of",
+        "the last axis, and not over states and actions",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum((1, 2), keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "divide by n(s, a), and not by the sum of the state",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(1, keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "the last axis, and not over actions",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(0, keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "the last axis, and not over states.",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = (counts + simulator) / (n + 1)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "counts as one more transition of each pair",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts / (n + 1)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "a number that is added to n(s, a) changes",
     ),
     (
         "2_counts",
@@ -606,7 +651,7 @@ n = counts.sum(-1, keepdims=True)
 f = np.where(counts > 0, counts / np.maximum(n, 1), simulator)
 return np.where(simulator > 0, f / np.where(simulator > 0, simulator, 1), 0)
 """,
-        "the frequencies of a pair, counts / (sum of",
+        "a next state that was not seen has the frequency 0",
     ),
     (
         "2_counts",

@@ -29,7 +29,10 @@ import oee_tabular as oee
 import oee_tabular.paper
 from oee_tabular.testing import assignments
 from oee_tabular.testing.assignments import TASKS, RefusedAnswer, check, draw_case
-from oee_tabular.testing.assignments.differences import say_difference
+from oee_tabular.testing.assignments.differences import (
+    explain_pattern,
+    say_difference,
+)
 
 FOLDER = Path(__file__).parents[2] / "notebooks" / "assignments"
 SOURCES = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
@@ -329,6 +332,16 @@ def test_a_pattern_of_all_entries_is_named(change, said):
     assert said in refusal(
         "3_values", lambda P, r, policy, discount: change(right(P, r, policy, discount))
     )
+
+
+def test_every_entry_is_said_of_a_pattern_that_every_entry_follows():
+    """A large entry beside small ones that are right is no factor of all."""
+    found, right = np.array([3e9, 0.5, 0.25, 1.0]), np.array([1e9, 0.5, 0.25, 1.0])
+    for pattern in (3.0, 1.0, 0.5):
+        said = explain_pattern(found * pattern, right, {}, is_entrywise=True)
+        assert "times" not in said
+    every = explain_pattern(3.0 * right, right, {}, is_entrywise=True)
+    assert every == "every entry is the right one times 3"
 
 
 def test_a_wrong_entry_is_named_with_what_is_there():

@@ -105,11 +105,18 @@ def _factors(arguments: dict[str, Any]) -> Iterator[tuple[float, str]]:
     yield 0.5, "1 / 2"
 
 
-def explain_pattern(found: Array, right: Array, arguments: dict[str, Any]) -> str:
+def explain_pattern(
+    found: Array,
+    right: Array,
+    arguments: dict[str, Any],
+    *,
+    is_entrywise: bool = False,
+) -> str:
     """Return a sentence on how a wrong result comes from the right one, or "".
 
     One number is any other times something, so that only arrays show a factor or a
-    shift that has no name.
+    shift that has no name. ``is_entrywise``: whether small entries beside large ones
+    must follow it too.
     """
     if not (np.all(np.isfinite(found)) and np.all(np.isfinite(right))):
         return ""
@@ -118,7 +125,10 @@ def explain_pattern(found: Array, right: Array, arguments: dict[str, Any]) -> st
     scale = max(float(np.abs(right).max(initial=0.0)), 1e-12)
 
     def is_same(other: Any, tolerance: float = PATTERN_TOLERANCE) -> bool:
-        return bool(np.all(np.abs(found - other) <= tolerance * scale))
+        is_near = np.abs(found - other) <= tolerance * scale
+        if is_entrywise:
+            is_near &= is_between(found, other, other, tolerance, is_entrywise=True)
+        return bool(np.all(is_near))
 
     if is_same(np.trunc(right), ROUNDING):
         return (

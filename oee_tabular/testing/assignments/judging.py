@@ -262,7 +262,10 @@ class Task:
             )
         if hint is kind.hint:
             return hint
-        if pattern := explain_pattern(found, right, arguments):
+        pattern = explain_pattern(
+            found, right, arguments, is_entrywise=self.is_entrywise
+        )
+        if pattern:
             return f"{pattern}; {hint}"
         if np.all(is_between(found, right, right, CLOSE, floor=0.0)):
             return (

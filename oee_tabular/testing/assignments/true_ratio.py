@@ -523,6 +523,29 @@ def _possible_alone(counts: Array, simulator: Array) -> Array:
     return _ratio_from_counts(np.where(simulator > 0, counts, 0), simulator)
 
 
+def _shrunk(counts: Array, simulator: Array) -> Array:
+    """Compute the ratio of a Dirichlet prior of strength 1 at the simulator."""
+    mean = (counts + simulator) / (counts.sum(axis=-1, keepdims=True) + 1.0)
+    return np.asarray(np.nan_to_num(mean / simulator, posinf=0.0))
+
+
+def _one_added_below(counts: Array, simulator: Array) -> Array:
+    frequencies = counts / (counts.sum(axis=-1, keepdims=True) + 1.0)
+    return np.asarray(np.nan_to_num(frequencies / simulator, posinf=0.0))
+
+
+def _ones_where_not_seen(counts: Array, simulator: Array) -> Array:
+    found = _ratio_from_counts(counts, simulator)
+    return np.where((counts == 0) & (simulator > 0), 1.0, found)
+
+
+def _by_sums(counts: Array, simulator: Array, *, axes: int | tuple[int, int]) -> Array:
+    """Compute the ratio of counts to sums over other axes, 1 where these are 0."""
+    sums = np.broadcast_to(counts.sum(axis=axes, keepdims=True), counts.shape)
+    quotients = np.nan_to_num(counts / sums / simulator, posinf=0.0)
+    return np.where(sums > 0, quotients, 1.0 * (simulator > 0))
+
+
 def _ones_where_unrecorded(counts: Array, simulator: Array) -> Array:
     is_recorded = counts.sum(axis=-1, keepdims=True) > 0
     return np.where(is_recorded, _ratio_from_counts(counts, simulator), 1.0)
@@ -581,13 +604,46 @@ FROM_COUNTS = Task(
             lambda counts, simulator: np.nan_to_num(
                 counts / counts.sum(axis=0, keepdims=True) / simulator
             ),
-            "the sum is over the next state, the last axis.",
+            "the sum is over the next state, the last axis, and not over states.",
         ),
         Mistake(
             lambda counts, simulator: np.nan_to_num(
                 _frequencies(counts, axis=1) / simulator
             ),
             "the sum is over the next state, the last axis, and not over actions.",
+        ),
+        Mistake(
+            partial(_by_sums, axes=(1, 2)),
+            "each pair (s, a) has a sum of its own: divide by n(s, a), and not by the sum"
+            " of the state.",
+        ),
+        Mistake(
+            partial(_by_sums, axes=0),
+            "the sum is over the next state, the last axis, and not over states.",
+        ),
+        Mistake(
+            partial(_by_sums, axes=1),
+            "the sum is over the next state, the last axis, and not over actions.",
+        ),
+        Mistake(
+            partial(_by_sums, axes=(0, 1)),
+            "the sum is over the next state, the last axis, and not over states and"
+            " actions.",
+        ),
+        Mistake(
+            _one_added_below,
+            "a number that is added to n(s, a) changes every ratio; treat pairs without"
+            " counts apart.",
+        ),
+        Mistake(
+            _shrunk,
+            "the simulator counts as one more transition of each pair. That is a prior;"
+            " here the frequencies are asked for.",
+        ),
+        Mistake(
+            _ones_where_not_seen,
+            "only a pair (s, a) without any count keeps the simulator. In a recorded"
+            " pair a next state that was not seen has the frequency 0, and the ratio 0.",
         ),
         Mistake(
             _possible_alone,
