@@ -323,6 +323,21 @@ main()
 """
 
 
+def require_end_by_ctrl_c(script, module, folder):
+    """Run a command that Ctrl-C meets where a module is imported; return stderr."""
+    command = ("reproduce", "fig1a", "--smoke", "--output", folder)
+    process = subprocess.run(
+        [sys.executable, "-c", script, module, *command],
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP_SECONDS,
+        check=False,
+    )
+    assert process.returncode == 130
+    assert "Traceback" not in process.stderr
+    return process.stderr
+
+
 def test_ctrl_c_that_a_library_makes_an_error_of(tmp_path):
     """As numba does while it compiles: the exit code is that of Ctrl-C."""
     change = """os.kill(os.getpid(), signal.SIGINT)
@@ -334,19 +349,8 @@ def test_ctrl_c_that_a_library_makes_an_error_of(tmp_path):
                 raise RuntimeError("no compiled object yet") from None
 """
     assert change in INTERRUPTED
-    process = subprocess.run(
-        [
-            *(sys.executable, "-c", INTERRUPTED.replace(change, swallowed)),
-            "oee_tabular.lab.experiments.catalogue",
-            *("reproduce", "fig1a", "--smoke", "--output", tmp_path),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=GIVE_UP_SECONDS,
-        check=False,
-    )
-    assert process.returncode == 130
-    assert "Traceback" not in process.stderr
+    script = INTERRUPTED.replace(change, swallowed)
+    require_end_by_ctrl_c(script, "oee_tabular.lab.experiments.catalogue", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -355,26 +359,8 @@ def test_ctrl_c_that_a_library_makes_an_error_of(tmp_path):
 )
 def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_path):
     """What is imported before the command begins, and what it imports as it goes."""
-    process = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            INTERRUPTED,
-            module,
-            "reproduce",
-            "fig1a",
-            "--smoke",
-            "--output",
-            tmp_path,
-        ],
-        capture_output=True,
-        text=True,
-        timeout=GIVE_UP_SECONDS,
-        check=False,
-    )
-    assert process.returncode == 130
-    assert "Traceback" not in process.stderr
-    assert "KeyboardInterrupt" not in process.stderr
+    told = require_end_by_ctrl_c(INTERRUPTED, module, tmp_path)
+    assert "KeyboardInterrupt" not in told
 
 
 def test_the_script_is_the_one_that_catches_it():

@@ -233,8 +233,10 @@ def _name_missing(path: str, columns: Mapping[str, Any], error: ArgumentError) -
     if lacks:
         words = " ".join(f"--column {field}=LABEL" for field in lacks)
         more += f" ({words})"
-    if len([label for label in labels if label]) == 2:
-        more += ", a policy's has state and action"
+    of_policy = {2: "state and action", 3: "state, action and probability"}
+    n_labels = len([label for label in labels if label])
+    if n_labels in of_policy:
+        more += f", a policy's has {of_policy[n_labels]}"
     raise ArgumentError(
         repr(path),
         f"must have the columns {', '.join(FIELDS[:3])}; it has"
@@ -282,6 +284,7 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
 
     A state that no row leaves is terminal.
     """
+    from oee_tabular.data.tables import describe_row
     from oee_tabular.mdp import csr_from_entries
 
     state, action, following, probability, reward = _read_columns(path, columns)
@@ -296,7 +299,7 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     if twice.size:
         k = int(twice[0])
         raise ArgumentError(
-            f"{path!r}: row {k}",
+            f"{path!r}: {describe_row(path, k)}",
             "must be the only one of its state, action and next_state;"
             f" {state[k]}, {action[k]}, {following[k]} has another",
         )
@@ -309,6 +312,14 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     to = np.concatenate([to, np.repeat(ends, n_actions)])
     zeros = np.zeros(len(loops))
     _require_every_action(path, rows, states, actions, (n_states, n_actions))
+    sums = np.bincount(rows[:n], probability)[rows[:n]]
+    wrong = np.flatnonzero(~(abs(sums - 1.0) <= _checks.SUM_TOLERANCE))
+    if wrong.size:
+        k = int(wrong[0])
+        raise ArgumentError(
+            f"{path!r}: state {state[k]}, action {action[k]}: probability",
+            f"must {_checks.SUM_RULE.format(sums[k])}",
+        )
     return {
         "transitions": csr_from_entries(
             rows, to, np.concatenate([probability, zeros + 1]), shape
@@ -377,7 +388,7 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
     from oee_tabular.cli.policies import drop_index
     from oee_tabular.data.labels import warn_left_out
-    from oee_tabular.data.tables import csv_frame
+    from oee_tabular.data.tables import csv_frame, describe_row
 
     name = repr(path)
     if not path.lower().endswith((".csv", ".csv.gz")):
@@ -407,19 +418,35 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
         if frame[label].isna().any():
             k = int(np.flatnonzero(frame[label].isna())[0])
             raise ArgumentError(
-                f"{name}: {field}[{k}]", "must have a value; it has none"
+                f"{name}: {describe_row(path, k)}: {field}",
+                "must have a value; it has none",
             )
-        if field in ("probability", "reward"):
-            if values.dtype.kind not in "iufb":
-                raise ArgumentError(
-                    f"{name}: {field}",
-                    "must hold numbers alone; its first value is"
-                    f" {_checks.show(values[0])}",
-                )
-            values = values.astype(np.float64)
+        if field in (PROBABILITY, "reward"):
+            values = _read_numbers(path, field, values)
         found.append(values)
     warn_left_out(repr(path), [label for label in frame.columns if label not in used])
     return found
+
+
+def _read_numbers(path: str, field: str, values: Any) -> Any:
+    """Return a column of probabilities, from 0 to 1, or of finite rewards."""
+    import pandas as pd
+
+    from oee_tabular.data.tables import describe_row
+
+    numbers = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(np.float64)
+    is_wrong = ~np.isfinite(numbers)
+    rule = "must be a finite number"
+    if not is_wrong.any() and field == PROBABILITY:
+        is_wrong = (numbers < 0.0) | (numbers > 1.0)
+        rule = "must be in [0, 1]"
+    if is_wrong.any():
+        k = int(np.flatnonzero(is_wrong)[0])
+        raise ArgumentError(
+            f"{path!r}: {describe_row(path, k)}: {field}",
+            f"{rule}; it is {_checks.show(values[k : k + 1].tolist()[0])}",
+        )
+    return numbers
 
 
 def _find_label(field: str, labels: list[Any], columns: Mapping[str, Any]) -> Any:

@@ -64,14 +64,25 @@ def test_samples_become_a_simulator(run, folder):
     run("export rows.csv --output r.npz --initial 0")
 
 
+def change_cell(table, row, label, value):
+    table = table.astype({label: object})
+    table.loc[row, label] = value
+    return table
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         (lambda t: pd.concat([t, t[:1]]), "must be the only one of its state, action"),
-        (lambda t: t[1:], "sum to 1"),
+        (lambda t: t[1:], "action n: probability must sum to 1"),
+        (lambda t: change_cell(t, 3, "probability", -0.5), "row 3 (line 5): pr"),
+        (lambda t: change_cell(t, 3, "probability", 1.5), "in [0, 1]; it is 1.5"),
+        (lambda t: change_cell(t, 5, "probability", "x"), "a finite number; it is 'x'"),
+        (lambda t: change_cell(t, 2, "probability", "inf"), "row 2 (line 4): pr"),
+        (lambda t: change_cell(t, 6, "reward", "1e999"), "row 6 (line 8): reward must"),
         (lambda t: t[t.action != "n"][:-9], "must have every action of a state"),
-        (lambda t: t.assign(probability="x"), "probability must hold numbers alone"),
-        (lambda t: t.assign(state=t.state.mask(t.index == 4)), "state[4] must have a"),
+        (lambda t: t.assign(probability="x"), "probability must be a finite number"),
+        (lambda t: change_cell(t, 4, "state", None), "row 4 (line 6): state must have"),
         (lambda t: t.drop(columns="reward"), "and none is reward (--column reward="),
     ],
 )
@@ -126,10 +137,17 @@ def test_columns_are_asked_for_only_where_names_are_what_is_missing(run, folder,
     assert "oee export ./-t.csv --initial STATE" in told
 
 
-def test_a_table_of_two_columns_may_be_a_policy(run, folder):
-    rows = {"wo": ["r0c0", "r0c1"], "was": ["n", "e"]}
+@pytest.mark.parametrize(
+    ("more", "columns"),
+    [
+        ({}, "state and action"),
+        ({"wieviel": [1.0, 1.0]}, "state, action and probability"),
+    ],
+)
+def test_a_table_of_few_columns_may_be_a_policy(run, folder, more, columns):
+    rows = {"wo": ["r0c0", "r0c1"], "was": ["n", "e"], **more}
     pd.DataFrame(rows).to_csv("pi.csv")
-    assert "a policy's has state and action" in run("info pi.csv", code=2)
+    assert f"a policy's has {columns}" in run("info pi.csv", code=2)
 
 
 def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder):
@@ -285,38 +303,44 @@ def test_info_says_which_files_have_no_columns_of_a_log(folder, run, file, is_wh
     assert f"--column must be left out for {file!r}, which {is_what};" in told
 
 
+RESEMBLES = "resembles probability (to read it: --column "
+SUMS = "sums to 1 for each state and action, as probabilities ("
+
+
 @pytest.mark.parametrize(
-    "label",
-    ["probabilty", "Porbability", "propability", "transition_prob", "proba", "P next"],
+    ("label", "reason"),
+    [
+        ("probabilty", RESEMBLES),
+        ("Porbability", RESEMBLES),
+        ("propability", RESEMBLES),
+        ("transition_prob", RESEMBLES),
+        ("proba", RESEMBLES),
+        ("P next", RESEMBLES),
+        ("chance", SUMS),
+        ("weight", SUMS),
+        ("how often", SUMS),
+        ("42", SUMS),
+    ],
 )
-def test_a_column_that_may_be_the_probability_is_asked_after(run, folder, label):
+def test_a_column_that_may_be_the_probability_is_asked_after(
+    run, folder, label, reason
+):
+    """Rows of a table of probabilities would count as samples without it."""
     grid = oee.FiniteMDP.load("sim.npz")
     table = table_of(grid).rename(columns={"probability": label})
     table.to_csv("t.csv", index=False)
     told = run("export t.csv --initial r0c0 --output made.npz", code=2)
-    assert f"'{label}' resembles probability (to read it: --column " in told
+    assert f"'{label}' {reason}" in told
     assert not (folder / "made.npz").exists()
     run(f"export t.csv --initial r0c0 --column 'probability={label}' --output made.npz")
     made = oee.FiniteMDP.load("made.npz")
+    assert made.sampling is None
     assert_allclose(
         oee.policy_value(made, oee.uniform_policy(made)),
         oee.policy_value(grid.with_discount(0.99), oee.uniform_policy(grid)),
     )
     run("export t.csv --initial r0c0 --column probability= --output of_samples.npz")
     assert oee.FiniteMDP.load("of_samples.npz").sampling is not None
-
-
-@pytest.mark.parametrize("label", ["chance", "weight", "how often", "42"])
-def test_a_column_that_sums_to_one_is_asked_after(run, folder, label):
-    """Rows of a table of probabilities would count as samples without it."""
-    grid = oee.FiniteMDP.load("sim.npz")
-    table = table_of(grid).rename(columns={"probability": label})
-    table.to_csv("t.csv", index=False)
-    told = run("export t.csv --initial r0c0 --output made.npz", code=2)
-    assert f"'{label}' sums to 1 for each state and action, as probabilities (" in told
-    assert not (folder / "made.npz").exists()
-    run(f"export t.csv --initial r0c0 --column 'probability={label}' --output made.npz")
-    assert oee.FiniteMDP.load("made.npz").sampling is None
 
 
 @pytest.mark.parametrize("values", [[0.5, 0.5, 0.5, 0.4], [1.0, 0.0, 1.0, 1.0]])
