@@ -330,7 +330,7 @@ return g
     (
         "2_support",
         "bool(np.any(simulator[target > 0] > 0))",
-        "always True. One common transition",
+        "True in every case. One common transition",
     ),
     (
         "2_support",
@@ -576,7 +576,7 @@ n = counts.sum(-1, keepdims=True)
 f = (counts + simulator) / (n + 1)
 return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
 """,
-        "counts as one more transition of each pair",
+        "counts as one transition more of each pair",
     ),
     (
         "2_counts",
@@ -597,7 +597,7 @@ for i in np.ndindex(*counts.shape):
         z[i] = counts[i] / n[i[0], i[1], 0] / simulator[i] if n[i[0], i[1], 0] else 1
 return z
 """,
-        "the fractions are cut off: an array of",
+        "the fractions are cut off: // gives none, and an array of",
     ),
     (
         "2_counts",
@@ -677,7 +677,132 @@ return z / (z * simulator).sum(-1, keepdims=True)
         "n = counts.sum(-1)\nreturn counts / n / simulator",
         "raises ValueError",
     ),
-    ("2_counts", "counts", "the frequencies of a pair, counts / (sum of"),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = (counts + 3 * simulator) / (n + 3)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "the frequencies of a pair, counts",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = (counts + 2 * simulator) / (n + 2)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "counts as two transitions more",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = (counts + counts.shape[2] * simulator) / (n + counts.shape[2])
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "as many transitions as there are states more",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts // n
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "// cuts the fractions off",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts / np.maximum(n - 1, 1)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "a number that is added to n(s, a) changes",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts / counts.max(-1, keepdims=True)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "and not by its largest count",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts / (counts > 0).sum(-1, keepdims=True)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "and not by the number of its entries",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = counts * 1.0
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "counts are no probabilities",
+    ),
+    ("2_counts", "counts", "these are the counts"),
+    ("2_counts", "simulator", "these are the simulator's probabilities"),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+z = np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+return np.minimum(z, 4)
+""",
+        "what is above 4 is cut off",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+z = np.empty(counts.shape)
+for k in np.ndindex(*z.shape):
+    if simulator[k] > 0:
+        z[k] = f[k] / simulator[k]
+return z
+""",
+        "entries were never written: np.empty",
+    ),
+    (
+        "2_ratio",
+        "np.divide(target, simulator, where=simulator > 0)",
+        "entries were never written: np.empty, and np.divide with where=",
+    ),
+    ("2_ratio", "target * simulator", "this is the product"),
+    ("2_ratio", "1.0 * (simulator > 0)", "these are ones"),
+    (
+        "2_ratio",
+        "np.nan_to_num(target / simulator).transpose(2, 1, 0)",
+        "the axes 0 and 2 of the result are exchanged",
+    ),
+    (
+        "2_ratio",
+        """
+z = np.zeros((3, 2, 3))
+for k in np.ndindex(*z.shape):
+    if simulator[k] > 0:
+        z[k] = target[k] / simulator[k]
+return z
+""",
+        "in case 0: take sizes from the arguments.",
+    ),
+    (
+        "2_support",
+        "bool(((target > 0).sum(2) <= (simulator > 0).sum(2)).all())",
+        "how many transitions there are says nothing",
+    ),
+    ("2_support", "bool((simulator.T[target > 0] > 0).all())", "are exchanged"),
     (
         "3_values",
         """

@@ -7,7 +7,8 @@ folders of the assignments, as nbgrader has them: ``submitted/anna/risk.ipynb`` 
 ``submitted/anna/assignment_1/risk.ipynb``. A notebook is known by its name. Its test
 cells are replaced by the instructor's, so that nothing a student changes in them counts.
 
-A row is written as soon as a notebook is graded, a total as soon as a student is. What
+Of a notebook that a student handed in several times the best counts. A row is written as
+soon as a notebook is graded, a total as soon as a student is. What
 cannot be graded is a row with its reason. Each notebook runs in a process of its own, in
 an empty folder. That keeps mistakes apart; it is no sandbox, so run it where a student's
 program may run.
@@ -32,6 +33,7 @@ SECONDS = 300  # that one notebook may run
 COLUMNS = ("student", "assignment", "points", "of", "message", "file")
 TEST_COLUMNS = ("student", "assignment", "test", "points", "of", "message")
 TOTAL = "total"  # in the column of the assignment
+NOT_COUNTED = "not counted"
 SKIPPED = re.compile(r"^\.|^__")  # hidden folders, as .ipynb_checkpoints
 ASSIGNMENT = re.compile(r"^assignment_\d+$")
 COPY = re.compile(r"( ?\(\d+\)|-Copy\d+)$")  # that browsers and Jupyter add to a name
@@ -107,56 +109,78 @@ def name_of(path):
     return COPY.sub("", path.stem) + path.suffix
 
 
+def is_hidden(path, folder):
+    """Return whether a path in a folder is a hidden one, as .ipynb_checkpoints are."""
+    return any(map(SKIPPED.match, path.relative_to(folder).parts))
+
+
+def notebooks_in(folder):
+    """Return the notebooks in a folder and its folders."""
+    found = sorted(folder.rglob("*.ipynb"))
+    return [path for path in found if not is_hidden(path, folder)]
+
+
 def find_notebooks(given):
-    """Return the notebooks of files and folders, each once."""
-    found = []
+    """Return the notebooks of files and folders, and the students who have none.
+
+    These are folders without a notebook: one that is given, or one that lies beside
+    other students' folders.
+    """
+    found, empty = [], []
     for path in given:
-        if path.is_dir():
-            inside = [
-                notebook
-                for notebook in sorted(path.rglob("*.ipynb"))
-                if not any(map(SKIPPED.match, notebook.relative_to(path).parts))
-            ]
-            if not inside:
-                raise ValueError(f"{path} must have notebooks (.ipynb); it has none")
-            found += inside
-        else:
+        if not path.is_dir():
             found.append(path)
-    return list(dict.fromkeys(found))
+            continue
+        inside = notebooks_in(path)
+        found += inside
+        if not inside:
+            empty.append(student_of(path / "none"))
+        elif student_of(path / "none") not in map(student_of, inside):
+            empty += [
+                folder.name
+                for folder in sorted(path.iterdir())
+                if folder.is_dir()
+                and not is_hidden(folder, path)
+                and not notebooks_in(folder)
+            ]
+    if not found:
+        raise ValueError(f"{given[0]} must have notebooks (.ipynb); it has none")
+    return list(dict.fromkeys(found)), empty
 
 
-def sort_submissions(paths):
+def sort_submissions(paths, empty, asked):
     """Return the submissions of each student, and what each of them has not handed in.
 
-    Expected is every assignment that some student has handed in.
+    Expected is every assignment that is asked for, or else that some student has handed
+    in. ``empty``: students who handed in nothing.
     """
     known = assignments()
-    asked = [name for name in known if any(name_of(path) == name for path in paths)]
-    by_student = {}
+    by_student = {student: [] for student in empty}
     for path in paths:
-        by_student.setdefault(student_of(path), []).append(path)
-    for student, theirs in by_student.items():
-        submissions, seen = [], {}
-        for path in theirs:
+        by_student.setdefault(student_of(path), [])
+        if not asked or name_of(path) in asked:
+            by_student[student_of(path)].append(path)
+    names = set(map(name_of, paths))
+    expected = asked or [name for name in known if name in names]
+    for student in sorted(by_student):
+        by_name = {}
+        for path in by_student[student]:
             one = Submission(student, name_of(path), path)
             if one.name not in known:
                 one.problem = (
                     "not graded: it must have the name of an assignment,"
                     f" {', '.join(sorted(known))}"
                 )
-            elif one.name in seen:
-                one.problem = f"not graded: handed in twice, see {seen[one.name]}"
-            seen.setdefault(one.name, path)
-            submissions.append(one)
-        for name in asked:
-            if name not in seen:
+            by_name.setdefault(one.name, []).append(one)
+        for name in expected:
+            if name not in by_name:
                 missing = Submission(student, name)
                 missing.tests = [
                     (test, 0, most, "") for test, most, _ in tests_of(known[name])
                 ]
                 missing.problem = "handed in nothing"
-                submissions.append(missing)
-        yield student, submissions
+                by_name[name] = [missing]
+        yield student, list(by_name.values())
 
 
 def tests_of(source):
@@ -307,32 +331,46 @@ class Table:
             os.fsync(self.file.fileno())
 
 
-def grade_all(paths, seconds, grades, tests):
+def grade_one(one, seconds):
+    """Grade a notebook, unless it is already known why that cannot be."""
+    if one.problem:
+        return
+    source = assignments()[one.name]
+    try:
+        one.tests = grade(one.path, source, seconds)
+    except (ValueError, OSError) as error:
+        one.problem = f"could not be read: {error}"
+        one.tests = [(name, 0, most, one.problem) for name, most, _ in tests_of(source)]
+
+
+def grade_all(submitted, seconds, grades, tests):
     """Grade notebooks student by student; return the totals and the problems."""
-    known = assignments()
     totals, problems = {}, []
-    for student, submissions in sort_submissions(paths):
-        for one in submissions:
-            if not one.problem:
-                try:
-                    one.tests = grade(one.path, known[one.name], seconds)
-                except (ValueError, OSError) as error:
-                    one.problem = f"could not be read: {error}"
-                    one.tests = [
-                        (name, 0, most, one.problem)
-                        for name, most, _ in tests_of(known[one.name])
-                    ]
-            report(one)
-            if one.problem and one.path:
-                problems.append(f"{one.path}: {one.problem}")
-            file = str(one.path or "")
-            grades.write(
-                (student, one.assignment, one.points, one.most, one.message, file)
-            )
-            for name, points, most, why in one.tests:
-                tests.write((student, one.assignment, name, points, most, why))
-        points = sum(one.points for one in submissions)
-        most = sum(one.most for one in submissions)
+    for student, handed_in in submitted:
+        for same in handed_in:  # notebooks of one name
+            for one in same:
+                grade_one(one, seconds)
+            best = max(same, key=lambda one: (one.points, not one.problem))
+            for one in same:
+                if one is not best and not one.problem.startswith("not "):
+                    one.problem = (
+                        f"{NOT_COUNTED}: handed in several times, and {best.path} has"
+                        f" {best.points} points, this one {one.points}"
+                    )
+                    one.tests = []
+            for one in same:
+                report(one)
+                if one.problem and one.path and not one.problem.startswith(NOT_COUNTED):
+                    problems.append(f"{one.path}: {one.problem}")
+                file = str(one.path or "")
+                grades.write(
+                    (student, one.assignment, one.points, one.most, one.message, file)
+                )
+                for name, points, most, why in one.tests:
+                    tests.write((student, one.assignment, name, points, most, why))
+        every = [one for same in handed_in for one in same]
+        points = sum(one.points for one in every)
+        most = sum(one.most for one in every)
         totals[student] = points, most
         grades.write((student, TOTAL, points, most, "", ""))
     return totals, problems
@@ -386,6 +424,11 @@ def main():
     parser.add_argument(
         "--seconds", type=float, default=SECONDS, help="Time for one notebook."
     )
+    parser.add_argument(
+        "--assignment",
+        help="Grade this one alone, by its folder's name or its number; what students"
+        " did not hand in of it counts 0.",
+    )
     parser.add_argument("--run", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.run:
@@ -395,8 +438,21 @@ def main():
         parser.error("give the notebooks to grade, or their folder")
     if not 0 < options.seconds < float("inf"):
         parser.error(f"--seconds must be above 0; it is {options.seconds:g}")
+    asked = []
+    if options.assignment is not None:
+        by_number = {
+            path.parent.name.removeprefix("assignment_"): name
+            for name, path in assignments().items()
+        }
+        number = options.assignment.removeprefix("assignment_")
+        if number not in by_number:
+            parser.error(
+                f"--assignment must be one of {', '.join(by_number)}; it is"
+                f" {options.assignment}"
+            )
+        asked = [by_number[number]]
     try:
-        paths = find_notebooks(options.files)
+        paths, empty = find_notebooks(options.files)
         wanted = ((options.output, COLUMNS), (options.tests, TEST_COLUMNS))
         paths_asked = [path for path, _ in wanted if path]
         if len({path.resolve() for path in paths_asked}) < len(paths_asked):
@@ -415,7 +471,8 @@ def main():
     except OSError as error:
         parser.error(f"{error.filename} cannot be written: {error.strerror}")
     try:
-        totals, problems = grade_all(paths, options.seconds, *tables)
+        submitted = sort_submissions(paths, empty, asked)
+        totals, problems = grade_all(submitted, options.seconds, *tables)
     except KeyboardInterrupt:
         print("\nStopped. What was graded is in the tables.", flush=True)
         return 130

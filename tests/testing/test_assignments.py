@@ -137,7 +137,7 @@ NO_ANSWERS = [
     ("seven", "the text 'seven'"),
     ("", "the text ''"),
     ([1.0, 2.0], r"numbers of shape \(2,\)"),
-    ([[1], [1, 2]], "a list whose parts differ in length"),
+    ([[1], [1, 2]], "a list whose parts differ in length or kind"),
     (3.5, "the number 3.5"),
     (True, "it is True"),
     ({"risk": 1}, "a dictionary"),
@@ -908,8 +908,8 @@ def test_a_class_in_both_layouts_is_graded_student_by_student(tmp_path):
         ("ben", "assignment_2", "0", "10", "handed in nothing"),
         ("ben", "total", "0", "20", ""),
         ("cleo", "assignment_1", "10", "10", ""),
+        ("cleo", "assignment_1", "0", "0", "not counted: handed in several times, and"),
         ("cleo", "", "0", "0", "not graded: it must have the name of an assignment"),
-        ("cleo", "assignment_1", "0", "0", "not graded: handed in twice, see"),
         ("cleo", "assignment_2", "0", "10", "handed in nothing"),
         ("cleo", "total", "10", "20", ""),
     ]
@@ -925,11 +925,68 @@ def test_a_class_in_both_layouts_is_graded_student_by_student(tmp_path):
         "  anna: 20 of 20",
         "  ben: 0 of 20",
         "  cleo: 10 of 20",
-        "3 not graded",
+        "2 not graded",
     ]
     tests = table_of(tmp_path / "tests.csv")
     assert sum(int(row["points"]) for row in tests) == 30
     assert sum(int(row["of"]) for row in tests) == 60
+
+
+@pytest.mark.parametrize("best", ["risk.ipynb", "risk (1).ipynb", "a/risk.ipynb"])
+def test_of_a_notebook_that_was_handed_in_several_times_the_best_counts(tmp_path, best):
+    for name in ("risk.ipynb", "risk (1).ipynb", "a/risk.ipynb"):
+        source = (
+            SOURCES[0] if name == best else FOLDER / "release/assignment_1/risk.ipynb"
+        )
+        put(source, tmp_path / "s/ann/assignment_1" / name.replace("a/", "../"))
+    found = run_grade("s", "--output", "grades.csv", folder=tmp_path)
+    assert found.returncode == 0
+    rows = table_of(tmp_path / "grades.csv")
+    assert sorted(row["points"] for row in rows) == ["0", "0", "10", "10"]
+    lost = [row["message"] for row in rows if row["points"] == "0"]
+    assert all("has 10 points, this one 0" in message for message in lost)
+    assert sum(int(row["of"]) for row in rows[:-1]) == 10
+
+
+def test_who_handed_in_nothing_has_a_row(tmp_path):
+    """Of one assignment too, where others were handed in."""
+    put(SOURCES[0], tmp_path / "s/ann/risk.ipynb")
+    put(SOURCES[1], tmp_path / "s/bob/assignment_2/true_ratio.ipynb")
+    (tmp_path / "s/cid/assignment_2").mkdir(parents=True)
+    (tmp_path / "s/dan").mkdir()
+    (tmp_path / "s/.git").mkdir()
+    for number in ("2", "assignment_2"):
+        options = ("--assignment", number, "--output", "g.csv", "--overwrite")
+        assert run_grade("s", *options, folder=tmp_path).returncode == 0
+        rows = table_of(tmp_path / "g.csv")
+        lost = ("assignment_2", "0", "10", "handed in nothing")
+        found = [
+            (
+                row["student"],
+                row["assignment"],
+                row["points"],
+                row["of"],
+                row["message"],
+            )
+            for row in rows
+            if row["assignment"] != "total"
+        ]
+        assert found == [
+            ("ann", *lost),
+            ("bob", "assignment_2", "10", "10", ""),
+            ("cid", *lost),
+            ("dan", *lost),
+        ]
+    folders = ("s/bob/assignment_2", "s/cid/assignment_2", "--output", "h.csv")
+    assert run_grade(*folders, folder=tmp_path).returncode == 0
+    assert [row["points"] for row in table_of(tmp_path / "h.csv")] == [
+        *("10", "10"),
+        *("0", "0"),
+    ]
+    none = run_grade("s/cid", "s/dan", folder=tmp_path)
+    assert "must have notebooks (.ipynb); it has none" in none.stderr
+    wrong = run_grade("s", "--assignment", "9", folder=tmp_path)
+    assert "--assignment must be one of 1, 2, 3, 4, 5, 6, 7, 8; it is 9" in wrong.stderr
 
 
 def test_rows_are_on_the_disk_before_the_next_student_is_graded(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -132,8 +133,8 @@ def explain_pattern(
 
     if is_same(np.trunc(right), ROUNDING):
         return (
-            "the fractions are cut off: an array of whole numbers keeps none, as"
-            " np.zeros_like of whole numbers is"
+            "the fractions are cut off: // gives none, and an array of whole numbers"
+            " keeps none, as np.zeros_like of whole numbers makes"
         )
     for digits in range(MAX_DIGITS + 1):
         if is_same(np.round(right, digits), ROUNDING):
@@ -150,6 +151,15 @@ def _explain_entries(found: Array, right: Array, is_same: Callable[[Any], bool])
     """Return a sentence on an order, a factor or a shift of three or more entries."""
     if right.ndim == 2 and right.shape[0] == right.shape[1] and is_same(right.T):
         return "the two axes are exchanged"
+    for first, second in itertools.combinations(range(right.ndim), 2):
+        other = right.swapaxes(first, second)
+        if right.ndim > 2 and other.shape == right.shape and is_same(other):
+            return f"the axes {first} and {second} of the result are exchanged"
+    most = float(found.max())
+    if 0.0 < most < (1.0 - SMALLEST_CHANGE) * right.max() and is_same(
+        np.minimum(right, most)
+    ):
+        return f"what is above {most:.6g} is cut off"
     if right.ndim == 1 and is_same(right[::-1]):
         return "these are the right numbers in the reverse order"
     largest = np.unravel_index(int(np.abs(right).argmax()), right.shape)

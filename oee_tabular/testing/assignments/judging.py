@@ -14,6 +14,7 @@ import copy
 import dis
 import inspect
 import io
+import math
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from decimal import Decimal
 from numbers import Real
 from types import CodeType, FunctionType, GeneratorType, ModuleType
 from typing import Any, NoReturn
+from unittest import mock
 
 import numpy as np
 
@@ -39,6 +41,9 @@ CLOSE = 1e-3  # of the largest right entry
 N_PLAIN_CASES = 3
 N_PLAIN_CASES_OF_A_WORD = 12
 N_CASES_OF_A_WORD = 40
+# what is in memory where an answer writes nothing; no result has it
+UNSET = -6.02214076e200
+N_MARKED = 8  # arrays of a size, of which numpy keeps as many to give them out again
 MAX_AXES = 64  # that an array of numpy may have
 # to what numpy says most often in a student's function
 NUMPY_REMEDIES = {
@@ -181,10 +186,15 @@ class Task:
                 )
         except RefusedAnswer as refusal:
             # what is no result in the first case either needs no place
-            if not kind.about or not self._has_result(answer):
+            if not kind.about or not self._has_result(answer, range(1)):
                 raise
             said = f"{refusal} This happens {where}"
-            said += f": {kind.hint}" if kind.hint else "."
+            if not self._has_result(answer, range(0, 100, len(self.kinds))):
+                said += self._compare_sizes(arguments)
+            elif kind.hint:
+                said += f": {kind.hint}"
+            else:
+                said += "."
             raise RefusedAnswer(said) from None
         if why:
             raise RefusedAnswer(
@@ -254,6 +264,12 @@ class Task:
             )
         if isinstance(right, bool | str):
             return hint
+        if np.any(found == UNSET):
+            return (
+                "entries were never written: np.empty, and np.divide with where= and"
+                " without out=, leave what was in memory. Begin with np.zeros;"
+                f" {hint}"
+            )
         is_lost = ~np.isfinite(found) & np.isfinite(right)
         if is_lost.any() and np.all(is_lost | self._is_between(found, right, right)):
             return (
@@ -295,12 +311,24 @@ class Task:
                 return False
         return self._holds_in(answer, self._plain_cases(right), self._is_right)
 
-    def _has_result(self, answer: Any) -> bool:
-        """Return whether an answer has a result of the right kind in the first case."""
+    def _has_result(self, answer: Any, cases: range) -> bool:
+        """Return whether an answer has a result of the right kind in some cases."""
         if self.judge:
             return True
         with silence():
-            return self._holds_in(answer, range(1), lambda *_: True)
+            return self._holds_in(answer, cases, lambda *_: True)
+
+    def _compare_sizes(self, arguments: Arguments) -> str:
+        """Say whether the arguments have other sizes than those of the first case."""
+        first = self.draw_case(0)
+        for name, value in arguments.items():
+            here, there = np.shape(value), np.shape(first[name])
+            if here != there:
+                return (
+                    f". There {name} has the shape {here}, and {there} in case 0: take"
+                    " sizes from the arguments."
+                )
+        return "."
 
     def _plain_cases(self, right: Any) -> range:
         """Return plain cases, more of them where an answer has one of few values."""
@@ -507,7 +535,8 @@ def ask(task: Task, answer: Any, arguments: Arguments) -> Any:
     """Call the answer with copies of the arguments, and refuse what goes wrong."""
     given = copy.deepcopy(arguments)
     try:
-        result = answer(*given.values())
+        with _marked_memory(arguments):
+            result = answer(*given.values())
     except NotImplementedError:
         refuse(task, "is not answered yet; write its body and run the cell again")
     except (Exception, SystemExit) as error:
@@ -517,13 +546,47 @@ def ask(task: Task, answer: Any, arguments: Arguments) -> Any:
                 text += f" ({remedy})"
         refuse(task, f"raises {type(error).__name__}{_line_of(error, answer)}: {text}")
     if result is None:
-        refuse(task, "returns nothing; end it with return and the result")
+        refuse(
+            task, "returns nothing; each way through it ends with return and a result"
+        )
     for name, value in arguments.items():
         if isinstance(value, np.ndarray) and not np.array_equal(
             value, given[name], equal_nan=True
         ):
             refuse(task, f"changes its argument {name}; work on a copy of it")
     return result
+
+
+@contextlib.contextmanager
+def _marked_memory(arguments: Arguments) -> Iterator[None]:
+    """Put a number where arrays without a content of their own take what is there.
+
+    What ``np.empty`` returns is often 0, so that an answer that forgets an entry would
+    seem right. ``np.divide`` with ``where`` takes memory that was given back: arrays of
+    the sizes of the arguments' axes are.
+    """
+    sizes = {1}
+    for value in arguments.values():
+        shape = np.shape(value)
+        for first in range(len(shape)):
+            for last in range(first, len(shape)):
+                sizes.add(math.prod(shape[first : last + 1]))
+    kept = [np.full(size, UNSET) for size in sizes for _ in range(N_MARKED)]
+    kept.clear()
+
+    def marked(function: Callable[..., Any]) -> Callable[..., Any]:
+        def empty(*given: Any, **named: Any) -> Any:
+            array = function(*given, **named)
+            if array.dtype == np.float64:
+                array.fill(UNSET)
+            return array
+
+        return empty
+
+    with mock.patch.multiple(
+        np, empty=marked(np.empty), empty_like=marked(np.empty_like)
+    ):
+        yield
 
 
 def _line_of(error: BaseException, answer: Any) -> str:
@@ -556,7 +619,7 @@ def describe(value: Any) -> str:
     if callable(value):
         return "a function; call it, and return its result"
     if isinstance(value, GeneratorType):
-        return "a generator; make an array of what it yields"
+        return "a generator, as a function with yield makes; return the result"
     if isinstance(value, dict):
         return "a dictionary"
     if has_masked(value):
@@ -590,7 +653,10 @@ def _describe_entries(value: Any) -> str:
         try:
             array = np.asarray(value)
         except Exception:
-            return f"{name} whose parts differ in length"
+            return f"{name} whose parts differ in length or kind"
+        is_text = [isinstance(part, str) for part in value]
+        if array.dtype.kind == "U" and array.ndim == 1 and not all(is_text):
+            return f"{name} of a text and other things"
     elif isinstance(value, np.ndarray):
         name, array = f"an array of shape {value.shape}", value
     else:

@@ -94,6 +94,10 @@ def _draw_outside(
     target /= np.maximum(target.sum(axis=-1, keepdims=True), 1e-300)
     empty = target.sum(axis=-1) == 0
     target[empty] = simulator[empty]
+    if is_narrow:  # the row makes no more transitions than the simulator's
+        others = target[s, a] < target[s, a].max()
+        target[s, a, others] = 0.0
+        target[s, a] /= target[s, a].sum()
     target[s, a] *= 1.0 - size
     target[s, a, t] = size
     return pair
@@ -410,6 +414,18 @@ SUPPORT = Task(
             "how many transitions there are says nothing; compare them one by one.",
         ),
         Mistake(
+            lambda target, simulator: bool(
+                np.all((target > 0).sum(axis=-1) <= (simulator > 0).sum(axis=-1))
+            ),
+            "how many transitions a pair has says nothing; compare them one by one.",
+        ),
+        Mistake(
+            lambda target, simulator: bool(
+                np.all(simulator.transpose(2, 1, 0)[target > 0] > 0)
+            ),
+            "the simulator's states and next states are exchanged.",
+        ),
+        Mistake(
             lambda target, simulator: bool(np.all(target <= simulator)),
             "the target's probability may be larger; only a 0 of the simulator matters.",
         ),
@@ -419,12 +435,12 @@ SUPPORT = Task(
         ),
         Mistake(
             lambda target, simulator: True,
-            "this is always True. One common transition is not enough: it is False for a"
-            " target that leaves the simulator's support.",
+            "this is True in every case. One common transition is not enough: it must be"
+            " False where a single transition leaves the simulator's support.",
         ),
         Mistake(
             lambda target, simulator: False,
-            "this is always False; it is True for a target that stays in the simulator's"
+            "this is False in every case; it must be True for a target that stays in the simulator's"
             " support.",
         ),
     ),
@@ -460,6 +476,14 @@ RATIO = Task(
         Mistake(
             lambda target, simulator: np.nan_to_num(target / simulator, nan=1.0),
             "where the simulator never goes, write 0, and not 1.",
+        ),
+        Mistake(
+            lambda target, simulator: target * simulator,
+            "this is the product; the ratio is a quotient.",
+        ),
+        Mistake(
+            lambda target, simulator: 1.0 * (simulator > 0),
+            "these are ones: the ratio of equal probabilities.",
         ),
         Mistake(
             lambda target, simulator: target - simulator,
@@ -523,15 +547,20 @@ def _possible_alone(counts: Array, simulator: Array) -> Array:
     return _ratio_from_counts(np.where(simulator > 0, counts, 0), simulator)
 
 
-def _shrunk(counts: Array, simulator: Array) -> Array:
-    """Compute the ratio of a Dirichlet prior of strength 1 at the simulator."""
-    mean = (counts + simulator) / (counts.sum(axis=-1, keepdims=True) + 1.0)
-    return np.asarray(np.nan_to_num(mean / simulator, posinf=0.0))
+def _over_the_simulator(model: Array, simulator: Array) -> Array:
+    return np.asarray(np.nan_to_num(model / simulator, posinf=0.0))
 
 
-def _one_added_below(counts: Array, simulator: Array) -> Array:
-    frequencies = counts / (counts.sum(axis=-1, keepdims=True) + 1.0)
-    return np.asarray(np.nan_to_num(frequencies / simulator, posinf=0.0))
+def _shrunk(counts: Array, simulator: Array, *, strength: float) -> Array:
+    """Compute the ratio of a Dirichlet prior at the simulator; 0: as many as states."""
+    kappa = strength or counts.shape[-1]
+    mean = (counts + kappa * simulator) / (counts.sum(-1, keepdims=True) + kappa)
+    return _over_the_simulator(mean, simulator)
+
+
+def _one_added_below(counts: Array, simulator: Array, *, more: float) -> Array:
+    n = counts.sum(axis=-1, keepdims=True) + more
+    return _over_the_simulator(counts / n, simulator)
 
 
 def _ones_where_not_seen(counts: Array, simulator: Array) -> Array:
@@ -630,15 +659,59 @@ FROM_COUNTS = Task(
             "the sum is over the next state, the last axis, and not over states and"
             " actions.",
         ),
-        Mistake(
-            _one_added_below,
-            "a number that is added to n(s, a) changes every ratio; treat pairs without"
-            " counts apart.",
+        *(
+            Mistake(
+                partial(_one_added_below, more=more),
+                "a number that is added to n(s, a) changes every ratio; treat pairs"
+                " without counts apart.",
+            )
+            for more in (1.0, -1.0)
+        ),
+        *(
+            Mistake(
+                partial(_shrunk, strength=strength),
+                f"the simulator counts as {said} more of each pair. That is a prior; here"
+                " the frequencies are asked for.",
+            )
+            for strength, said in (
+                (0.5, "half a transition"),
+                (1.0, "one transition"),
+                (2.0, "two transitions"),
+                (10.0, "ten transitions"),
+                (0.0, "as many transitions as there are states"),
+            )
         ),
         Mistake(
-            _shrunk,
-            "the simulator counts as one more transition of each pair. That is a prior;"
-            " here the frequencies are asked for.",
+            lambda counts, simulator: counts.astype(float),
+            "these are the counts; divide each row by its sum, and by the simulator's"
+            " probabilities.",
+        ),
+        Mistake(
+            lambda counts, simulator: simulator.copy(),
+            "these are the simulator's probabilities; the log's frequencies are divided"
+            " by them.",
+        ),
+        Mistake(
+            lambda counts, simulator: _frequencies(counts) - simulator,
+            "this is the difference; the ratio is a quotient.",
+        ),
+        Mistake(
+            lambda counts, simulator: _over_the_simulator(
+                counts // counts.sum(axis=-1, keepdims=True), simulator
+            ),
+            "// cuts the fractions off; divide with /.",
+        ),
+        Mistake(
+            lambda counts, simulator: _over_the_simulator(
+                counts / counts.max(axis=-1, keepdims=True), simulator
+            ),
+            "divide each row by its sum, and not by its largest count.",
+        ),
+        Mistake(
+            lambda counts, simulator: _over_the_simulator(
+                counts / (counts > 0).sum(axis=-1, keepdims=True), simulator
+            ),
+            "divide each row by its sum, and not by the number of its entries.",
         ),
         Mistake(
             _ones_where_not_seen,
