@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -137,13 +138,16 @@ def write_array(path: Path, array: Array) -> None:
         handle.write(content.getbuffer())
 
 
-def require_commas(path: str) -> None:
-    """Raise an ArgumentError where another sign than a comma parts the fields."""
+def require_commas(path: str, own: Iterable[str] = ()) -> None:
+    """Raise an ArgumentError where another sign than a comma parts the fields.
+
+    ``own``: labels of columns, beside those that every table may have.
+    """
     labels = read_labels(path)
     if len(labels) > 1:
         return
     known = ["state", "action", "probability", "next_state", "reward"]
-    hint = suggest_columns(known, labels)
+    hint = suggest_columns([*known, *map(plain, own)], labels)
     if hint:
         raise ArgumentError(
             repr(path), f"must be a table of comma-separated values{hint}"
@@ -210,7 +214,8 @@ def _find_columns(frame: Any, mdp: FiniteMDP, name: str) -> Columns | None:
 def _find_label(frame: Any, labels: list[Any], field: str, mdp: FiniteMDP) -> Any:
     """Return the label of a column of states or actions, or None.
 
-    It is its own, one of other projects, or that of a column of the simulator's names.
+    It is its own, one of other projects, or that of a column of the simulator's names:
+    of these alone, or else of these in most rows, where the others may be misspelt.
     """
     if field in labels:
         return field
@@ -218,11 +223,13 @@ def _find_label(frame: Any, labels: list[Any], field: str, mdp: FiniteMDP) -> An
     names = mdp.state_names if field == "state" else mdp.action_names
     if not found and names:
         known = numbers_of(names)
-        for label in labels:
-            values = frame[label]
-            is_text = values.dtype.kind not in "biuf"
-            if is_text and len(values) and all(value in known for value in set(values)):
-                found.append(label)
+        shares = {
+            label: sum(value in known for value in frame[label]) / len(frame)
+            for label in labels
+            if len(frame) and frame[label].dtype.kind not in "biuf"
+        }
+        found = [label for label, share in shares.items() if share == 1.0]
+        found = found or [label for label, share in shares.items() if share > 0.5]
     return found[0] if len(found) == 1 else None
 
 

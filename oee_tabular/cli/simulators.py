@@ -311,14 +311,16 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     rows = np.concatenate([rows, loops])
     to = np.concatenate([to, np.repeat(ends, n_actions)])
     zeros = np.zeros(len(loops))
-    _require_every_action(path, rows, states, actions, (n_states, n_actions))
+    _require_every_action(path, rows, n, states, actions, (n_states, n_actions))
     sums = np.bincount(rows[:n], probability)[rows[:n]]
     wrong = np.flatnonzero(~(abs(sums - 1.0) <= _checks.SUM_TOLERANCE))
     if wrong.size:
         k = int(wrong[0])
         raise ArgumentError(
-            f"{path!r}: state {state[k]}, action {action[k]}: probability",
-            f"must {_checks.SUM_RULE.format(sums[k])}",
+            f"{path!r}: state {state[k]}, action {action[k]} (first in"
+            f" {describe_row(path, k)}): probability",
+            f"must {_checks.SUM_RULE.format(sums[k])} (of rounded ones, divide each by"
+            " the sum of its pair)",
         )
     return {
         "transitions": csr_from_entries(
@@ -362,13 +364,15 @@ def _warn_of_misspelt(path: str, number: Any, ends: Any, states: list[Any]) -> N
 def _require_every_action(
     path: str,
     rows: Any,
+    n: int,
     states: list[Any] | None,
     actions: list[Any] | None,
     shape: tuple[int, int],
 ) -> None:
     """Raise an ArgumentError where a state has one action in the table but not all.
 
-    ``rows`` are the numbers s * A + a of the pairs that are there, ``shape`` is (S, A).
+    ``rows`` are the numbers s * A + a of the pairs that are there, ``shape`` is (S, A);
+    the first ``n`` of them are those of the table's rows.
     """
     lacking = np.setdiff1d(np.arange(shape[0] * shape[1]), rows)
     if not lacking.size:
@@ -379,14 +383,44 @@ def _require_every_action(
     raise ArgumentError(
         repr(path),
         f"must have every action of a state that has one; state {state}, action"
-        f" {action} is not there ({lacking.size} such pairs; of actions that cannot be"
-        " taken, save one made by FiniteMDP(..., available=))",
+        f" {action} is not there ({lacking.size} such pairs"
+        f"{_find_cause(path, rows[:n], states, actions, shape[1])}; of actions that"
+        " cannot be taken, save one made by FiniteMDP(..., available=))",
     )
+
+
+def _find_cause(
+    path: str,
+    rows: Any,
+    states: list[Any] | None,
+    actions: list[Any] | None,
+    n_actions: int,
+) -> str:
+    """Say of a name of few rows that it may be another that is misspelt; "" for none."""
+    from oee_tabular.data.tables import describe_row
+    from oee_tabular.mdp import find_misspelt
+
+    for names, codes in ((actions, rows % n_actions), (states, rows // n_actions)):
+        known = names or []
+        for name, others in find_misspelt(known, known).items():
+            places = [
+                np.flatnonzero(codes == known.index(each)) for each in (name, others[0])
+            ]
+            if not all(map(len, places)):
+                continue  # a state that no row leaves
+            # the misspelt one stands in fewer rows, or came later
+            rare = min(places, key=lambda found: (len(found), -found[0]))
+            misspelt, meant = (name, others[0])[:: 1 if rare is places[0] else -1]
+            return (
+                f"; {describe_row(path, int(rare[0]))} has {_checks.show(misspelt)}: is"
+                f" {_checks.show(meant)} meant?"
+            )
+    return ""
 
 
 def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
     """Return state, action, next_state, probability and reward of a table."""
-    from oee_tabular.cli.policies import drop_index
+    from oee_tabular.cli.policies import drop_index, require_commas
     from oee_tabular.data.labels import warn_left_out
     from oee_tabular.data.tables import csv_frame, describe_row
 
@@ -400,6 +434,7 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
                 f"must name columns of {', '.join(FIELDS)} for a table with"
                 f" probabilities; it names {_checks.show(field)}",
             )
+    require_commas(path, [str(label) for label in columns.values()])
     frame = drop_index(csv_frame(path))
     labels = list(frame.columns)
     missing = _find_missing(labels, columns, FIELDS)
@@ -423,9 +458,23 @@ def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
             )
         if field in (PROBABILITY, "reward"):
             values = _read_numbers(path, field, values)
+        elif values.dtype.kind == "O":
+            _refuse_blanks(path, field, values)
         found.append(values)
     warn_left_out(repr(path), [label for label in frame.columns if label not in used])
     return found
+
+
+def _refuse_blanks(path: str, field: str, values: Any) -> None:
+    """Raise an ArgumentError for a name that begins or ends with a blank."""
+    from oee_tabular.data.tables import describe_row
+
+    for k, name in enumerate(values):
+        if isinstance(name, str) and name != name.strip():
+            raise ArgumentError(
+                f"{path!r}: {describe_row(path, k)}: {field}",
+                f"must not begin or end with a blank; it is {_checks.show(name)}",
+            )
 
 
 def _read_numbers(path: str, field: str, values: Any) -> Any:
@@ -512,8 +561,17 @@ def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
         f" {frame[action].nunique()} actions with probabilities"
         f" ({_checks.show(probability)}), which sum to 1 for each state and action; no"
         f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
-        " STATE --discount G --output simulator.npz"
+        f" STATE --discount G --output simulator.npz{_repeat_columns(columns)}"
     )
+
+
+def _repeat_columns(columns: Mapping[str, Any]) -> str:
+    """Return the options that name columns as they were given."""
+    words = [
+        shlex.quote(f"{field}={'' if label is None else label}")
+        for field, label in columns.items()
+    ]
+    return "".join(f" --column {_checks.escape_controls(word)}" for word in words)
 
 
 def describe_ends(mdp: oee.FiniteMDP) -> str:

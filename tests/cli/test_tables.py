@@ -13,6 +13,69 @@ import oee_tabular as oee
 from oee_tabular.cli.simulators import read_simulator
 from oee_tabular.data.aliases import resembles_probability
 
+COLUMNS = ["state", "action", "next_state", "probability", "reward"]
+
+
+@pytest.mark.parametrize(
+    ("label", "name", "other"),
+    [
+        ("action", "creep", "crep"),
+        ("action", "drive", "dirve"),
+        ("state", "kitchen", "kitchn"),
+        ("state", "corridor", "Corridor"),
+    ],
+)
+def test_a_misspelt_name_of_a_table_is_found_where_pairs_are_missing(
+    run, folder, label, name, other
+):
+    rows = [
+        (state, action, state, 1.0, 0.0)
+        for state in ("kitchen", "corridor", "attic")
+        for action in ("creep", "drive")
+    ]
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    row = int(np.flatnonzero(table[label] == name)[-1])
+    table.loc[row, label] = other
+    table.to_csv("t.csv", index=False)
+    told = run("export t.csv --initial attic --output made.npz", code=2)
+    assert f"row {row} (line {row + 2}) has '{other}': is '{name}' meant?" in told
+
+
+@pytest.mark.parametrize(("mark", "word"), [(";", "semicolons"), ("\t", "tabs")])
+def test_other_separators_of_a_table_with_own_labels_are_named(run, folder, mark, word):
+    own = {label: f"my_{label}" for label in COLUMNS}
+    table = table_of(oee.FiniteMDP.load("sim.npz")).rename(columns=own)
+    table.to_csv("t.csv", index=False, sep=mark, decimal="," if mark == ";" else ".")
+    options = " ".join(f"--column {field}={label}" for field, label in own.items())
+    told = run(f"export t.csv {options} --initial r0c0 --output made.npz", code=2)
+    assert f"must be separated by commas; they are by {word}" in told
+    table.to_csv("t.csv", index=False)
+    told = run(f"info t.csv {options}")
+    assert told.rstrip().endswith(f"--output simulator.npz {options}")
+
+
+@pytest.mark.parametrize("is_wide", [False, True])
+@pytest.mark.parametrize(
+    ("label", "value", "meant"),
+    [("state", "r1c11", "r1c1"), ("action", "nn", "n"), ("state", "R2c2", "r2c2")],
+)
+def test_a_policy_with_own_labels_names_what_is_misspelt(
+    run, folder, label, value, meant, is_wide
+):
+    grid = oee.FiniteMDP.load("sim.npz")
+    rows = [(str(s), str(grid.action_names[0]), 1.0) for s in grid.state_names]
+    table = pd.DataFrame(rows, columns=["state", "action", "probability"])
+    row = int(np.flatnonzero(table[label] == (meant if label == "state" else "n"))[0])
+    if is_wide:
+        if label == "action":
+            return
+        table = pd.DataFrame({"state": table["state"], "n": 1.0})
+    table.loc[row, label] = value
+    table.columns = ["wo", *(["n"] if is_wide else ["was", "p"])]
+    table.to_csv("pi.csv", index=False)
+    told = run("evaluate --simulator sim.npz --log log.csv --policy pi.csv", code=2)
+    assert f"must be one of the MDP's names; it is '{value}'" in told
+
 
 def table_of(mdp, *, has_names=True):
     """Return a row for each transition from a state that is not terminal."""
@@ -74,7 +137,7 @@ def change_cell(table, row, label, value):
     ("change", "text"),
     [
         (lambda t: pd.concat([t, t[:1]]), "must be the only one of its state, action"),
-        (lambda t: t[1:], "action n: probability must sum to 1"),
+        (lambda t: t[1:], "first in row 0 (line 2)): probability must sum to 1"),
         (lambda t: change_cell(t, 3, "probability", -0.5), "row 3 (line 5): pr"),
         (lambda t: change_cell(t, 3, "probability", 1.5), "in [0, 1]; it is 1.5"),
         (lambda t: change_cell(t, 5, "probability", "x"), "a finite number; it is 'x'"),
@@ -84,6 +147,14 @@ def change_cell(table, row, label, value):
         (lambda t: t.assign(probability="x"), "probability must be a finite number"),
         (lambda t: change_cell(t, 4, "state", None), "row 4 (line 6): state must have"),
         (lambda t: t.drop(columns="reward"), "and none is reward (--column reward="),
+        (
+            lambda t: change_cell(t, 7, "next_state", "r0c1 "),
+            "(line 9): next_state must",
+        ),
+        (
+            lambda t: change_cell(t, 8, "action", " n"),
+            "must not begin or end with a bl",
+        ),
     ],
 )
 def test_tables_that_are_no_simulator(run, folder, change, text):
