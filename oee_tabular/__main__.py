@@ -17,6 +17,7 @@ if __name__ == "__main__":
             sys.path.append(_first)  # the package itself is there
 
 # nothing else is imported here, because Ctrl-C during these imports is not caught
+import atexit
 import signal
 
 INTERRUPTED = 130  # the shell's exit code of a process that Ctrl-C ended
@@ -31,6 +32,10 @@ def main() -> None:
     handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handled:
         signal.signal(signal.SIGINT, _leave)
+        # The first to be registered is called last. From then on Python takes its own
+        # handlers away, and Ctrl-C would end by a signal a command that has done its
+        # work.
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     _open_streams()
     from oee_tabular._isolation import ignore_settings
     from oee_tabular._memory import limit_memory

@@ -780,6 +780,48 @@ return z
         "entries were never written: np.empty, and np.divide with where=",
     ),
     ("2_ratio", "target * simulator", "this is the product"),
+    (
+        "2_ratio",
+        """
+z = np.nan_to_num(target / simulator)
+z[z < 0.05] = 0
+return z
+""",
+        "the quotient is small and not 0",
+    ),
+    (
+        "2_counts",
+        """
+n = counts.sum(-1, keepdims=True)
+f = np.where(n > 0, counts / np.maximum(n, 1), simulator)
+f = np.where((n > 0) & (f < 0.01), 0, f)
+return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
+""",
+        "a small frequency is no 0",
+    ),
+    (
+        "2_support",
+        """
+ok = True
+for k in np.ndindex(*target.shape):
+    if target[k] > 0 and simulator[k] == 0:
+        ok = not ok
+return ok
+""",
+        "One transition outside is enough, and so are two.",
+    ),
+    (
+        "2_support",
+        """
+met, new = set(), {0}
+while new:
+    met |= new
+    new = set(np.flatnonzero(target[sorted(met)].sum((0, 1)))) - met
+met = sorted(met)
+return bool(np.all(simulator[met][target[met] > 0] > 0))
+""",
+        "how many transitions there are says nothing",
+    ),
     ("2_ratio", "1.0 * (simulator > 0)", "these are ones"),
     (
         "2_ratio",

@@ -363,6 +363,30 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
     assert "KeyboardInterrupt" not in told
 
 
+def test_ctrl_c_after_the_end_of_a_command_changes_nothing():
+    """When Python takes its modules down, handlers of signals are gone."""
+    late = """
+class Late:
+    def __init__(self):
+        self.kill, self.process = os.kill, os.getpid()
+
+    def __del__(self):
+        self.kill(self.process, 2)
+
+sys.late = Late()
+"""
+    script = INTERRUPTED.replace("sys.meta_path", f"{late}\nsys.meta_path")
+    process = subprocess.run(
+        [sys.executable, "-c", script, "no_such_module", "--version"],
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP_SECONDS,
+        check=False,
+    )
+    assert (process.returncode, process.stderr) == (0, "")
+    assert process.stdout.startswith("oee ")
+
+
 def test_the_script_is_the_one_that_catches_it():
     import tomllib
     from pathlib import Path

@@ -29,6 +29,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
+PLACES = {"source": FOLDER / "source"}  # of the instructor's notebooks
 SECONDS = 300  # that one notebook may run
 COLUMNS = ("student", "assignment", "points", "of", "message", "file")
 TEST_COLUMNS = ("student", "assignment", "test", "points", "of", "message")
@@ -41,7 +42,7 @@ COPY = re.compile(r"( ?\(\d+\)|-Copy\d+)$")  # that browsers and Jupyter add to 
 
 def assignments():
     """Return the instructor's notebooks by the names of their files."""
-    paths = sorted((FOLDER / "source").glob("assignment_*/*.ipynb"))
+    paths = sorted(PLACES["source"].glob("assignment_*/*.ipynb"))
     return {path.name: path for path in paths}
 
 
@@ -148,6 +149,19 @@ def find_notebooks(given):
     return list(dict.fromkeys(found)), empty
 
 
+def is_asked(path, asked):
+    """Return whether a notebook may be of the assignments that are asked for.
+
+    One of another name may, where it does not lie in another assignment's folder.
+    """
+    source = assignments().get(name_of(path))
+    if source is not None:
+        return source.name in asked
+    folders = [assignments()[name].parent.name for name in asked]
+    folder = path.resolve().parent.name
+    return folder in folders or not ASSIGNMENT.match(folder)
+
+
 def sort_submissions(paths, empty, asked):
     """Return the submissions of each student, and what each of them has not handed in.
 
@@ -158,7 +172,7 @@ def sort_submissions(paths, empty, asked):
     by_student = {student: [] for student in empty}
     for path in paths:
         by_student.setdefault(student_of(path), [])
-        if not asked or name_of(path) in asked:
+        if not asked or is_asked(path, asked):
             by_student[student_of(path)].append(path)
     names = set(map(name_of, paths))
     expected = asked or [name for name in known if name in names]
@@ -429,6 +443,13 @@ def main():
         help="Grade this one alone, by its folder's name or its number; what students"
         " did not hand in of it counts 0.",
     )
+    parser.add_argument(
+        "--source",
+        type=Path,
+        default=FOLDER / "source",
+        help="Folder with the instructor's notebooks, for a copy that was changed; by"
+        " default the one beside this script.",
+    )
     parser.add_argument("--run", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.run:
@@ -438,6 +459,12 @@ def main():
         parser.error("give the notebooks to grade, or their folder")
     if not 0 < options.seconds < float("inf"):
         parser.error(f"--seconds must be above 0; it is {options.seconds:g}")
+    PLACES["source"] = options.source
+    if not assignments():
+        parser.error(
+            f"--source must have folders assignment_1, ... with notebooks;"
+            f" {options.source} has none"
+        )
     asked = []
     if options.assignment is not None:
         by_number = {

@@ -16,6 +16,7 @@ from oee_tabular._arguments import is_whole_number, whole_number
 from oee_tabular.exceptions import ArgumentError, DataWarning
 
 SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
+ROUNDING = 0.01  # by which a sum of probabilities that were rounded may be off
 PROBABILITY = "probability"
 FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
 FEW_STATES = 5  # that are named of those where episodes start or are over
@@ -316,11 +317,13 @@ def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]
     wrong = np.flatnonzero(~(abs(sums - 1.0) <= _checks.SUM_TOLERANCE))
     if wrong.size:
         k = int(wrong[0])
+        way = "a row may be missing, or be there twice under two names"
+        if abs(sums[k] - 1.0) < ROUNDING:
+            way = "of rounded ones, divide each by the sum of its pair"
         raise ArgumentError(
             f"{path!r}: state {state[k]}, action {action[k]} (first in"
             f" {describe_row(path, k)}): probability",
-            f"must {_checks.SUM_RULE.format(sums[k])} (of rounded ones, divide each by"
-            " the sum of its pair)",
+            f"must {_checks.SUM_RULE.format(sums[k])} ({way})",
         )
     return {
         "transitions": csr_from_entries(

@@ -233,7 +233,8 @@ def _add_files(
         raise ArgumentError(
             "path",
             f"must have at least one good row; of {len(files)} files none has, the"
-            f" first of which is {files[0].path!r}",
+            f" first of which is {files[0].path!r}"
+            + "".join(f"; {reason}" for reason in recording.reasons[:1]),
         )
     warn_of(episodes.notes)
     overlaps.warn()

@@ -53,7 +53,8 @@ WAY = (
 # the same of rows that do not follow each other, where a column may be the wrong one
 ORDER_WAY = (
     " (make sure first that episode, timestep, state and next_state are the right"
-    f" columns; {WAY.removeprefix(' (')}"
+    " columns; Transitions.open(..., bad_rows='drop') and oee counts --bad-rows drop"
+    " count such rows as they are, in episodes that are not whole)"
 )
 # in small letters, without blanks around; numbers that are 0 or 1 are flags as well
 FLAG_WORDS = {

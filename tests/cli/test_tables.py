@@ -138,6 +138,11 @@ def change_cell(table, row, label, value):
     [
         (lambda t: pd.concat([t, t[:1]]), "must be the only one of its state, action"),
         (lambda t: t[1:], "first in row 0 (line 2)): probability must sum to 1"),
+        (lambda t: t[1:], "a row may be missing"),
+        (
+            lambda t: t.assign(probability=t.probability.round(1) + 1e-6),
+            "of rounded ones, divide each by the sum of its pair",
+        ),
         (lambda t: change_cell(t, 3, "probability", -0.5), "row 3 (line 5): pr"),
         (lambda t: change_cell(t, 3, "probability", 1.5), "in [0, 1]; it is 1.5"),
         (lambda t: change_cell(t, 5, "probability", "x"), "a finite number; it is 'x'"),
@@ -221,6 +226,14 @@ def test_a_table_of_few_columns_may_be_a_policy(run, folder, more, columns):
     assert f"a policy's has {columns}" in run("info pi.csv", code=2)
 
 
+def test_why_no_row_of_a_log_is_good_is_said(run, folder):
+    rows = {"state": ["a", "b"], "action": ["go", "go"], "next_state": ["b", "a"]}
+    pd.DataFrame(rows).to_csv("names.csv", index=False)
+    told = run("counts names.csv --bad-rows drop --output c.npz", code=2)
+    assert "must have at least one good row; of 1 files none has" in told
+    assert "; 'names.csv': action[0] must be an integer; it is 'go' (names take" in told
+
+
 def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder):
     rows = {"state": [0, 1] * 4, "action": 0, "next_state": [1, 0] * 4}
     rows |= {"timestep": [0, 1] * 4, "run": np.arange(8) // 2, "machine": 7}
@@ -228,7 +241,7 @@ def test_rows_that_do_not_follow_each_other_may_be_of_other_columns(run, folder)
     told = run("info own.csv --column episode=machine", code=2)
     assert "timestep[2] must be 2" in told
     assert "make sure first that episode, timestep, state and next_state are" in told
-    assert "; to leave such rows out" in told
+    assert "count such rows as they are, in episodes that are not whole" in told
     assert "4 episodes" in run("info own.csv --column episode=run")
 
 

@@ -977,6 +977,12 @@ def test_who_handed_in_nothing_has_a_row(tmp_path):
             ("cid", *lost),
             ("dan", *lost),
         ]
+    put(SOURCES[1], tmp_path / "s/eve/assignment_2/true_ratio_eve.ipynb")
+    put(SOURCES[0], tmp_path / "s/eve/assignment_1/my_risk.ipynb")
+    told = run_grade("s", "--assignment", "2", folder=tmp_path)
+    assert told.returncode == 1
+    assert "true_ratio_eve.ipynb: not graded: it must have the name of" in told.stdout
+    assert "my_risk" not in told.stdout
     folders = ("s/bob/assignment_2", "s/cid/assignment_2", "--output", "h.csv")
     assert run_grade(*folders, folder=tmp_path).returncode == 0
     assert [row["points"] for row in table_of(tmp_path / "h.csv")] == [
@@ -985,6 +991,12 @@ def test_who_handed_in_nothing_has_a_row(tmp_path):
     ]
     none = run_grade("s/cid", "s/dan", folder=tmp_path)
     assert "must have notebooks (.ipynb); it has none" in none.stderr
+    own = SOURCES[0].read_text().replace('"points": 1,', '"points": 4,')
+    put(own, tmp_path / "own/assignment_1/risk.ipynb")
+    told = run_grade("s/ann", "--source", "own", folder=tmp_path)
+    assert "risk.ipynb: 19 of 19 points" in told.stdout
+    wrong = run_grade("s/ann", "--source", "s", folder=tmp_path)
+    assert "--source must have folders assignment_1" in wrong.stderr
     wrong = run_grade("s", "--assignment", "9", folder=tmp_path)
     assert "--assignment must be one of 1, 2, 3, 4, 5, 6, 7, 8; it is 9" in wrong.stderr
 

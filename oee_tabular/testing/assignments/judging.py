@@ -432,7 +432,7 @@ class Task:
                 if array.shape == shape:
                     return array
                 if len(shape) > 1 and sorted(array.shape) == sorted(shape):
-                    why = ", whose axes are exchanged"
+                    why = ", the right sizes in another order"
         refuse(self, f"must return {kind}; it returns {describe(result)}{why}")
 
 
@@ -630,7 +630,8 @@ def describe(value: Any) -> str:
         return f"{kind} with masked entries, which are no numbers"
     array = as_numbers(value)
     if array is not None:
-        return f"numbers of shape {array.shape}"
+        kind = "a tuple of numbers" if isinstance(value, tuple) else "numbers"
+        return f"{kind} of shape {array.shape}"
     return _describe_entries(value)
 
 

@@ -75,31 +75,75 @@ def _draw_equal(rng: np.random.Generator) -> Arguments:
 
 
 def _draw_outside(
-    rng: np.random.Generator, *, size: float, is_narrow: bool = False
+    rng: np.random.Generator, *, size: float, n_outside: int = 1
 ) -> Arguments:
-    """Draw a target with one transition that the simulator never makes.
+    """Draw a target with transitions that the simulator never makes.
 
     Other actions and other states of the simulator make it, or one of the two never
-    does. A narrow target makes fewer transitions than the simulator.
+    does.
     """
-    pair = _draw_pair(rng, target_has_zeros=is_narrow)
+    pair = _draw_pair(rng)
+    places = [tuple(map(int, place)) for place in np.ndindex(*pair["target"].shape)]
+    for k in rng.permutation(len(places))[:n_outside]:
+        s, a, t = places[k]
+        rows: tuple[Any, Any] = ((s, a), (s, slice(None)), (slice(None), a))[
+            rng.integers(3)
+        ]
+        _put_outside(pair, (s, a, t), rows, size)
+    return pair
+
+
+def _draw_narrow(rng: np.random.Generator, *, size: float) -> Arguments:
+    """Draw a target that does less than the simulator, with one exception.
+
+    The row of the exception makes no more transitions than the simulator's, and no
+    other state of the target leads to its state.
+    """
+    pair = _draw_pair(rng, target_has_zeros=True)
     target, simulator = pair["target"], pair["simulator"]
-    s, a, t = (int(rng.integers(n)) for n in target.shape)
-    rows: tuple[Any, Any] = ((s, a), (s, slice(None)), (slice(None), a))[
-        rng.integers(3)
-    ]
+    n_states, n_actions = target.shape[:2]
+    s = int(rng.integers(1, n_states))
+    place = s, int(rng.integers(n_actions)), int(rng.integers(n_states))
+    _put_outside(pair, place, place[:2], size)
+    others = np.arange(n_states) != s
+    away = target[others]
+    away[:, :, s] = 0.0
+    rows = simulator[others] * others
+    most = rows == rows.max(axis=-1, keepdims=True)
+    away = np.where(away.sum(axis=-1, keepdims=True) > 0, away, most)
+    target[others] = away / away.sum(axis=-1, keepdims=True)
+    row = target[place[:2]]
+    row[place[2]] = 0.0
+    row[row < row.max()] = 0.0
+    row *= (1.0 - size) / row.sum()
+    row[place[2]] = size
+    return pair
+
+
+def _put_outside(
+    pair: Arguments, place: tuple[int, int, int], rows: tuple[Any, Any], size: float
+) -> None:
+    """Take a next state from rows of both, and give it to the target in one place."""
+    target, simulator = pair["target"], pair["simulator"]
+    s, a, t = place
     simulator[(*rows, t)] = 0.0
     target[(*rows, t)] = 0.0
     simulator /= simulator.sum(axis=-1, keepdims=True)
     target /= np.maximum(target.sum(axis=-1, keepdims=True), 1e-300)
     empty = target.sum(axis=-1) == 0
     target[empty] = simulator[empty]
-    if is_narrow:  # the row makes no more transitions than the simulator's
-        others = target[s, a] < target[s, a].max()
-        target[s, a, others] = 0.0
-        target[s, a] /= target[s, a].sum()
     target[s, a] *= 1.0 - size
     target[s, a, t] = size
+
+
+def _draw_rare_target(rng: np.random.Generator) -> Arguments:
+    """Draw a target with zeros and with a transition of 1e-6 in each row."""
+    pair = _draw_pair(rng, target_has_zeros=True)
+    target = pair["target"]
+    for s, a in np.ndindex(*target.shape[:2]):
+        target[s, a, int(target[s, a].argmin())] = TINY
+    target[-1, -1, int(target[-1, -1].argmin())] = 0.0
+    target /= target.sum(axis=-1, keepdims=True)
     return pair
 
 
@@ -108,7 +152,7 @@ _ANY_SIZE = (
 )
 _EACH_ROW = (
     "each pair (s, a) has a row of its own. Compare entry by entry, with nothing summed"
-    " or counted over states or actions."
+    " or counted over states or actions, and with no state left out."
 )
 
 SUPPORT_KINDS = (
@@ -121,9 +165,9 @@ SUPPORT_KINDS = (
     ),
     Kind("both have zeros", partial(_draw_pair, simulator_has_zeros=True)),
     Kind(
-        "a probability of the target is 1e-6",
-        partial(_draw_outside, size=TINY),
-        _ANY_SIZE,
+        "two probabilities of the target are 1e-6",
+        partial(_draw_outside, size=TINY, n_outside=2),
+        _ANY_SIZE + " One transition outside is enough, and so are two.",
     ),
     Kind(
         "a probability of the target is 1e-9",
@@ -137,7 +181,7 @@ SUPPORT_KINDS = (
     ),
     Kind(
         "the target does less than the simulator, with one exception",
-        partial(_draw_outside, size=0.3, is_narrow=True),
+        partial(_draw_narrow, size=0.3),
         _EACH_ROW,
     ),
     Kind("the two are equal", _draw_equal),
@@ -172,9 +216,10 @@ RATIO_KINDS = (
         _is_never_simulated,
     ),
     Kind(
-        "the target has zeros and the simulator has none",
-        partial(_draw_pair, target_has_zeros=True),
-        "where the target never goes and the simulator does, the quotient is 0.",
+        "the target has zeros and entries of 1e-6, and the simulator has neither",
+        _draw_rare_target,
+        "where the target never goes and the simulator does, the quotient is 0; where it"
+        " goes rarely, the quotient is small and not 0.",
     ),
     Kind(
         "probabilities of both are near 1e-6",
@@ -239,6 +284,8 @@ def _draw_log(
         n[0] = 100_000
     n.ravel()[rng.permutation(n.size)[:n_unrecorded]] = 0
     counts = draw_counts(rng, n, pair["target"])
+    if is_unequal:  # of 100 000 transitions one leads to each pair's rarest state
+        np.put_along_axis(counts[0], counts[0].argmin(axis=-1)[:, None], 1, axis=-1)
     return {"counts": counts, "simulator": pair["simulator"]}
 
 
@@ -269,7 +316,7 @@ _UNRECORDED = (
 )
 _OWN_SUM = (
     "each pair (s, a) has a sum of counts of its own, and one transition is enough to"
-    " be recorded."
+    " be recorded. Large counts are not cut, and a small frequency is no 0."
 )
 
 COUNTS_KINDS = (
