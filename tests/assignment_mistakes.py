@@ -585,7 +585,7 @@ n = counts.sum(-1, keepdims=True)
 f = counts / (n + 1)
 return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
 """,
-        "a number that is added to n(s, a) changes",
+        "a number that is added to n(s, a), or taken",
     ),
     (
         "2_counts",
@@ -720,7 +720,7 @@ n = counts.sum(-1, keepdims=True)
 f = counts / np.maximum(n - 1, 1)
 return np.divide(f, simulator, out=np.zeros(f.shape), where=simulator > 0)
 """,
-        "a number that is added to n(s, a) changes",
+        "a number that is added to n(s, a), or taken",
     ),
     (
         "2_counts",

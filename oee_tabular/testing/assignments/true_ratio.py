@@ -353,7 +353,7 @@ COUNTS_KINDS = (
         _is_rarely_simulated,
     ),
     Kind(
-        "pairs have one or two transitions, and others 100 000",
+        "pairs have one or two transitions, and others about 100 000",
         partial(_draw_log, least=1, most=3, is_unequal=True),
         _OWN_SUM,
     ),
@@ -709,8 +709,8 @@ FROM_COUNTS = Task(
         *(
             Mistake(
                 partial(_one_added_below, more=more),
-                "a number that is added to n(s, a) changes every ratio; treat pairs"
-                " without counts apart.",
+                "a number that is added to n(s, a), or taken from it, changes every ratio;"
+                " treat pairs without counts apart.",
             )
             for more in (1.0, -1.0)
         ),
