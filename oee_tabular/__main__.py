@@ -21,6 +21,8 @@ import atexit
 import signal
 
 INTERRUPTED = 130  # the shell's exit code of a process that Ctrl-C ended
+REPEATS = hasattr(signal, "setitimer")  # which Windows lacks
+REPEAT_SECONDS = 2.0
 
 
 def main() -> None:
@@ -47,16 +49,22 @@ def main() -> None:
     try:
         if handled:
             signal.signal(signal.SIGINT, _interrupt)
+            if REPEATS:
+                signal.signal(signal.SIGALRM, _interrupt_again)
         command()
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-    except SystemExit as end:
+    except (KeyboardInterrupt, SystemExit) as end:
+        _stop_repeating()
+        is_interrupted = isinstance(end, KeyboardInterrupt)
         # a library may have made an error of its own of it, as numba does while it
         # compiles
-        if _interrupts and end.code:
+        is_interrupted |= bool(_interrupts) and bool(end.args and end.args[0])
+        if not is_interrupted:
+            raise
+        if not _interrupts:
             sys.exit(INTERRUPTED)
-        raise
+        _end()
     finally:
+        _stop_repeating()
         if handled:
             signal.signal(signal.SIGINT, _leave)
         # Ctrl-C within an exec() of some library makes Python end itself by a signal
@@ -70,7 +78,45 @@ _interrupts: list[int] = []  # that came while the command ran
 def _interrupt(number: int, _: object) -> None:
     """Note that Ctrl-C came, and raise what Python raises for it."""
     _interrupts.append(number)
+    if REPEATS:
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS, REPEAT_SECONDS)
     raise KeyboardInterrupt
+
+
+def _interrupt_again(*_: object) -> None:
+    """Raise it again where it was dropped, and the command went on.
+
+    Python drops what is raised in a ``__del__``, of which numba's compiler calls many.
+    While Ctrl-C is handled, as by what removes a file that is not whole, nothing is
+    raised.
+    """
+    error = sys.exc_info()[1]
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return
+        error = error.__context__
+    raise KeyboardInterrupt
+
+
+def _stop_repeating() -> None:
+    """Raise Ctrl-C no more."""
+    if REPEATS and _interrupts:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _end() -> None:
+    """End a command that Ctrl-C ended, without taking Python's modules down.
+
+    Objects of libraries that were cut in two may crash there, as those of compilers.
+    """
+    signal.signal(signal.SIGINT, _leave)
+    atexit._run_exitfuncs()
+    from contextlib import suppress
+
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, OSError, ValueError):  # none, full, or closed
+            stream.flush()
+    os._exit(INTERRUPTED)
 
 
 def _leave(*_: object) -> None:

@@ -363,6 +363,50 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
     assert "KeyboardInterrupt" not in told
 
 
+def test_ctrl_c_that_a_destructor_drops_is_raised_again(tmp_path):
+    """Python prints what is raised in __del__, as of a compiler's objects, and goes on."""
+    change = """os.kill(os.getpid(), signal.SIGINT)
+"""
+    dropped = """Dropped()
+"""
+    destructor = """class Dropped:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        signal.sigtimedwait([], 1)
+
+class Finder"""
+    script = INTERRUPTED.replace(change, dropped).replace("class Finder", destructor)
+    module = "oee_tabular.lab.experiments.catalogue"
+    command = ("reproduce", "estimands", "--seeds", "4000", "--output", tmp_path)
+    process = subprocess.run(
+        [sys.executable, "-c", script, module, *command],
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP_SECONDS,
+        check=False,
+    )
+    assert process.returncode == 130
+    assert "Exception ignored in" in process.stderr
+    assert process.stderr.count("oee: interrupted") == 1
+    assert "cells are finished and kept; the same command" in process.stderr
+
+
+def test_what_ctrl_c_cut_in_two_is_not_taken_down(tmp_path):
+    """As a compiler's object, which may crash where Python takes its modules down."""
+    crash = """class Late:
+    def __init__(self):
+        self.crash = os._exit
+
+    def __del__(self):
+        self.crash(3)
+
+sys.late = Late()
+
+class Finder"""
+    script = INTERRUPTED.replace("class Finder", crash)
+    require_end_by_ctrl_c(script, "oee_tabular.lab.experiments.catalogue", tmp_path)
+
+
 def test_ctrl_c_after_the_end_of_a_command_changes_nothing():
     """When Python takes its modules down, handlers of signals are gone."""
     late = """
