@@ -241,7 +241,7 @@ def test_a_line_of_the_syllabus_has_all_that_a_teacher_needs():
     for k, week in enumerate(weeks, 1):
         cells_of_week = week.strip("| ").split(" | ")
         _, _, chapters, books, slides, exercises, assignment = cells_of_week
-        assert slides == f"[`week_{k}.html`](#slides)"
+        assert slides == f"`--weeks {k}`"
         assert "## Slides" in text
         for part in (chapters, books, assignment):
             links = re.findall(r"\]\(([^)]+)\)", part)
