@@ -323,9 +323,8 @@ main()
 """
 
 
-def require_end_by_ctrl_c(script, module, folder):
+def end_by_ctrl_c(script, module, *command):
     """Run a command that Ctrl-C meets where a module is imported; return stderr."""
-    command = ("reproduce", "fig1a", "--smoke", "--output", folder)
     process = subprocess.run(
         [sys.executable, "-c", script, module, *command],
         capture_output=True,
@@ -334,8 +333,15 @@ def require_end_by_ctrl_c(script, module, folder):
         check=False,
     )
     assert process.returncode == 130
-    assert "Traceback" not in process.stderr
     return process.stderr
+
+
+def require_end_by_ctrl_c(script, module, folder):
+    """Run a short command until Ctrl-C, which shows no traceback; return stderr."""
+    command = ("reproduce", "fig1a", "--smoke", "--output", folder)
+    told = end_by_ctrl_c(script, module, *command)
+    assert "Traceback" not in told
+    return told
 
 
 def test_ctrl_c_that_a_library_makes_an_error_of(tmp_path):
@@ -378,17 +384,10 @@ class Finder"""
     script = INTERRUPTED.replace(change, dropped).replace("class Finder", destructor)
     module = "oee_tabular.lab.experiments.catalogue"
     command = ("reproduce", "estimands", "--seeds", "4000", "--output", tmp_path)
-    process = subprocess.run(
-        [sys.executable, "-c", script, module, *command],
-        capture_output=True,
-        text=True,
-        timeout=GIVE_UP_SECONDS,
-        check=False,
-    )
-    assert process.returncode == 130
-    assert "Exception ignored in" in process.stderr
-    assert process.stderr.count("oee: interrupted") == 1
-    assert "cells are finished and kept; the same command" in process.stderr
+    told = end_by_ctrl_c(script, module, *command)
+    assert "Exception ignored in" in told
+    assert told.count("oee: interrupted") == 1
+    assert "cells are finished and kept; the same command" in told
 
 
 def test_what_ctrl_c_cut_in_two_is_not_taken_down(tmp_path):
