@@ -108,6 +108,11 @@ def read_simulator(
             # frequencies have no use for the probabilities of a log's actions either
             own.setdefault("behavior_probability", None)
         log = load_samples(path, own)
+        if log.reward is None:
+            has = _describe_missing(labels, ["reward"], own) if labels else "none"
+            raise ArgumentError(
+                repr(path), f"must have rewards, to be a simulator; it has {has}"
+            )
         if start is None and log.episode is None:
             _require_initial(path)
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
@@ -205,7 +210,7 @@ def load_samples(files: Any, columns: Mapping[str, Any]) -> Any:
     except ArgumentError as error:
         paths = [files] if isinstance(files, str) else files
         # errors of other kinds know better what is wrong
-        is_of_names = "(say which column holds it: " in error.rule
+        is_of_names = "(say which column holds " in error.rule
         if len(paths) > 1 or not is_of_names or " looks like the header" in error.rule:
             raise
         _name_missing(paths[0], columns, error)

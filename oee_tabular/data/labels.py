@@ -345,7 +345,7 @@ def _choose(field: str, group: list[Any], name: str) -> Any:
     raise ArgumentError(
         name,
         f"must have one column of {field}; {' and '.join(map(_checks.show, group[:5]))}"
-        f" may each hold it (say which: {show_way(field, group[0])})",
+        f" may each hold it (say which: {show_way({field: group[0]})})",
     )
 
 
@@ -406,7 +406,7 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
             " truncated as well: then write a column terminated, true where this one"
             " is and truncated is not"
         )
-    ways = ", or ".join(show_way(field, label) for field in fields)
+    ways = ", or ".join(show_way({field: label}) for field in fields)
     out = dict.fromkeys(sorted(doubt.settled_by[0] - known))
     words = " ".join(f"--column {field}=" for field in out)
     to_read = f"to read it: {ways}; " if ways else ""
@@ -430,13 +430,17 @@ def _doubt_of_misspelt(text: str) -> Doubt | None:
     return Doubt((field,), meaning, (frozenset({field}),))
 
 
-def show_way(field: str, label: Any) -> str:
-    """Return how to name a column of a log in Python and in the command."""
-    shown = _checks.show(label)
-    if not isinstance(label, str):
-        return f"columns={{{field!r}: {shown}}}"
-    word = _checks.escape_controls(shlex.quote(f"{field}={label:.80}"))
-    return f"columns={{{field!r}: {shown}}}, --column {word}"
+def show_way(columns: Mapping[str, Any]) -> str:
+    """Return how to name columns of a log in Python and in the command."""
+    shown = ", ".join(
+        f"{field!r}: {_checks.show(label)}" for field, label in columns.items()
+    )
+    way = f"columns={{{shown}}}"
+    if all(isinstance(label, str) for label in columns.values()):
+        words = (f"{field}={label:.80}" for field, label in columns.items())
+        options = " ".join(f"--column {shlex.quote(word)}" for word in words)
+        way += f", {_checks.escape_controls(options)}"
+    return way
 
 
 def show_labels(labels: Sequence[Any]) -> str:
@@ -459,7 +463,7 @@ def suggest_label(label: Any, labels: Sequence[Any]) -> str:
     """Return the label of a table that was probably meant, in words, or nothing."""
     texts = {_text_of(each)[:80]: each for each in labels[:1000]}
     own = _text_of(label)
-    near = difflib.get_close_matches(own[:80], list(texts), n=1)
+    near = difflib.get_close_matches(own[:80], list(texts), n=1, cutoff=0.7)
     if not near:
         lower = {text.lower(): text for text in texts}
         near = [lower[text] for text in (own.lower(),) if text in lower]
@@ -485,15 +489,25 @@ def require_columns(
         return
     hint = suggest_columns(required, given)
     if not hint and taken is not None and given:
-        free = {plain(label): label for label in given}
-        near = difflib.get_close_matches(missing[0], list(free), n=1, cutoff=0.7)
-        way = show_way(missing[0], free[near[0]] if near else "its label")
-        hint = f" (say which column holds it: {way})"
+        free = [label for label in given if plain(label) not in found]
+        way = show_way(_guess_labels(missing[:MAX_SHOWN_COLUMNS], free))
+        held = "it" if len(missing) == 1 else "each"
+        hint = f" (say which column holds {held}: {way})"
     raise ArgumentError(
         name,
         f"must have the columns {', '.join(required)}; it has"
         f" {show_labels(given)}{hint}",
     )
+
+
+def _guess_labels(fields: Iterable[str], labels: Iterable[Any]) -> dict[str, Any]:
+    """Return the label that is nearest to each field, or LABEL."""
+    free = {plain(label): label for label in labels}
+    guesses = {}
+    for field in fields:
+        near = difflib.get_close_matches(field, list(free), n=1, cutoff=0.7)
+        guesses[field] = free.pop(near[0]) if near else "LABEL"
+    return guesses
 
 
 def suggest_columns(required: Sequence[str], labels: Sequence[Any]) -> str:

@@ -463,6 +463,18 @@ def test_other_faults_of_a_table_are_told_first(run, folder, text, options, said
     assert said in run(f"export t.csv --initial 0 {options} --output made.npz", code=2)
 
 
+@pytest.mark.parametrize("end", ["csv", "csv.gz", "parquet"])
+def test_samples_without_rewards_are_no_simulator(run, folder, end):
+    log = pd.DataFrame({"at": [0, 1], "do": [0, 0], "to": [1, 0], "gain": [1.0, 2.0]})
+    getattr(log, f"to_{end.split('.')[0]}")(f"t.{end}", index=False)
+    names = "--column state=at --column action=do --column next_state=to"
+    told = run(f"export t.{end} {names} --initial 0 --output made.npz", code=2)
+    assert f"'t.{end}' must have rewards, to be a simulator; it has at, do" in told
+    assert "none is reward (--column reward=LABEL)" in told
+    run(f"export t.{end} {names} --column reward=gain --initial 0 --output made.npz")
+    assert oee.FiniteMDP.load("made.npz").rewards.max() == 2.0
+
+
 def test_states_in_two_columns_beside_one_of_numbers(run, folder):
     text = "x,y,action,x2,y2,reward,note\n0,0,go,0,1,1,0.5\n0,1,go,0,0,0,0.8\n"
     (folder / "t.csv").write_text(text)

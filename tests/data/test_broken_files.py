@@ -251,13 +251,21 @@ def test_a_parquet_file_whose_own_mark_is_damaged_is_no_other_program_s(
         (
             "from,did,to\n0,0,1\n",
             (
-                r"it has from, did, to \(say which column holds it: columns=\{'state':"
-                r" 'its label'\}, --column 'state=its label'\)$"
+                r"it has from, did, to \(say which column holds each: columns=\{"
+                r"'state': 'LABEL', 'action': 'LABEL', 'next_state': 'LABEL'\}, --column"
+                r" state=LABEL --column action=LABEL --column next_state=LABEL\)$"
             ),
         ),
         (
             "state,action,nxt_state\n0,0,1\n",
             r"columns=\{'next_state': 'nxt_state'\}, --column next_state=nxt_state\)$",
+        ),
+        (
+            "state,acton,nxt state\n0,0,1\n",
+            (
+                r"columns=\{'action': 'acton', 'next_state': 'nxt state'\}, --column"
+                r" action=acton --column 'next_state=nxt state'\)$"
+            ),
         ),
     ],
 )
@@ -279,7 +287,7 @@ def test_what_a_table_of_another_program_must_change(tmp_path, text, hint):
         ),
         (
             "from_0,to_0,action\n1,2,0\n",
-            r"l\.csv' must have the columns state_0.*--column state_0='its label'",
+            r"l\.csv' must have the columns state_0.*--column state_0=LABEL",
         ),
         (
             "state_0,state_999999999,next_state_0,action\n1,2,3,0\n",

@@ -179,7 +179,7 @@ def _list_items(run: Any, path: str, label: str, kind: str) -> Sequence[str]:
         raise ArgumentError(
             f"{path!r}: {label!r}",
             f"must hold lists of numbers; it has {kind:.60} (say which column holds"
-            " the vectors: columns={'state': 'its label'})",
+            " the vectors: columns={'state': 'LABEL'})",
         )
     least, most, n_absent = run(
         f"SELECT min(len({name})), max(len({name})), count(*) - count({name})"
@@ -203,7 +203,7 @@ def _shift(values: Columns, path: str) -> Columns:
         raise ArgumentError(
             f"{path!r}",
             "must have a column episode where it has no next_state, which is then the"
-            " next row's state (columns={'episode': 'its label'})",
+            " next row's state (columns={'episode': 'LABEL'})",
         )
     is_same = episode[1:] == episode[:-1]
     steps = values.get("timestep")

@@ -119,8 +119,8 @@ class VectorFormat(Format):
                 "must have the columns state_0, ..., next_state_0, ... and action (or"
                 f" action_0, ...); it has no {', no '.join(absent)}, only"
                 f" {show_labels(labels)}{suggest_columns(expected, labels)}"
-                " (say which columns hold them: columns={'state_0': 'its label'},"
-                " --column state_0='its label')",
+                " (say which columns hold them: columns={'state_0': 'LABEL'},"
+                " --column state_0=LABEL)",
             )
 
     def check_episode(
