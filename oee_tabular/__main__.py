@@ -110,9 +110,15 @@ def _end() -> None:
     Objects of libraries that were cut in two may crash there, as those of compilers.
     """
     signal.signal(signal.SIGINT, _leave)
-    atexit._run_exitfuncs()
     from contextlib import suppress
 
+    # What is registered waits for worker processes. Those that were starting when
+    # Ctrl-C came have nobody to end them.
+    processes = sys.modules.get("multiprocessing")
+    for child in processes.active_children() if processes else ():
+        with suppress(OSError, TypeError):  # it has ended, or was never started
+            os.kill(child.pid, signal.SIGTERM)
+    atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):  # none, full, or closed
             stream.flush()

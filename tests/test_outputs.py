@@ -406,6 +406,57 @@ class Finder"""
     require_end_by_ctrl_c(script, "oee_tabular.lab.experiments.catalogue", tmp_path)
 
 
+@pytest.mark.parametrize("module", ["loky", "multiprocessing"])
+def test_workers_that_ctrl_c_found_starting_are_ended_too(tmp_path, module):
+    """Nobody tells them to end, and what Python does at its end would wait for them."""
+    pytest.importorskip("joblib")
+    start = {
+        "loky": """from joblib.externals.loky.backend import get_context
+        worker = get_context("loky").Process(target=time.sleep, args=(10_000,))
+        """,
+        "multiprocessing": """import multiprocessing
+        worker = multiprocessing.get_context("spawn").Process(
+            target=time.sleep, args=(10_000,)
+        )
+        """,
+    }[module]
+    busy = f"""import time
+            {start.replace(chr(10), chr(10) + "    ")}worker.start()
+            print("worker", worker.pid, file=sys.stderr)
+            os.kill(os.getpid(), signal.SIGINT)
+"""
+    change = """os.kill(os.getpid(), signal.SIGINT)
+"""
+    script = INTERRUPTED.replace(change, busy)
+    # the script is a file, which a process that is started anew can find
+    path = tmp_path / "command.py"
+    path.write_text(
+        script.replace(
+            "from oee_tabular.__main__",
+            "if __name__ == '__main__':\n    from oee_tabular.__main__",
+        ).replace("\nmain()", "\n    main()")
+    )
+    process = subprocess.run(
+        [
+            sys.executable,
+            path,
+            "oee_tabular.lab.experiments.catalogue",
+            "reproduce",
+            "fig1a",
+            "--smoke",
+            "--output",
+            tmp_path / "out",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP_SECONDS,
+        check=False,
+    )
+    assert process.returncode == 130, process.stderr
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(process.stderr.split()[1]), 0)
+
+
 def test_ctrl_c_after_the_end_of_a_command_changes_nothing():
     """When Python takes its modules down, handlers of signals are gone."""
     late = """
