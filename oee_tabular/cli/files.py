@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -399,6 +400,7 @@ def counts(
     not have are bad rows.
     """
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=(".npz",))
+    _require_another_file(output, log)
     mdp = None if simulator is None else task_of(simulator).mdp
     asked: dict[str, Any] = {"bad_rows": bad_rows, "kept_moves": kept_moves}
     asked["columns"] = read_columns(column, log)
@@ -643,3 +645,14 @@ def _describe_array(name: str, array: Any) -> str:
     else:
         what = "array"
     return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"
+
+
+def _require_another_file(output: Path, log: list[str]) -> None:
+    """Raise an ArgumentError where the counts would replace the log they are made of."""
+    for file in log:
+        if output.exists() and os.path.exists(file) and output.samefile(file):
+            raise ArgumentError(
+                "--output",
+                f"must be another file than the log, which it would replace; it is"
+                f" {str(output)!r}",
+            )

@@ -226,6 +226,13 @@ _PROBABILITY = Doubt(
     " (behavior_probability), or another one",
     (frozenset({"behavior_probability"}),),
 )
+# with episodes or times, each row is a step
+_COUNT = Doubt(
+    (),
+    "may say how many transitions a row stands for, and a log has one row for each:"
+    " repeat the rows, frame.loc[frame.index.repeat(frame[LABEL])] in pandas",
+    (frozenset({"episode"}), frozenset({"timestep"})),
+)
 _REWARD = Doubt(
     ("reward",),
     "may be the reward of its own row, or that of the next one",
@@ -271,6 +278,14 @@ _LISTED_DOUBTS = {
             _PROBABILITY,
             "prob probs probability probabilities action_probs action_probabilities"
             " policy_prob policy_probs policy_probability",
+        ),
+        (
+            _COUNT,
+            "count counts cnt n n_transitions n_samples n_visits n_rows n_obs num_rows"
+            " num_transitions num_samples num_visits number_of_transitions visits"
+            " visit_count visit_counts transition_count transition_counts row_count"
+            " sample_count sample_size size freq freqs frequency frequencies occurrences"
+            " multiplicity repeats 0",
         ),
         (_REWARD, "next_reward next_rewards"),
     )

@@ -197,7 +197,9 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     else:
         import pandas as pd
 
-        frame = pd.DataFrame(form.to_table(log.columns()))
+        table = form.to_table(log.columns())
+        _require_lines(table)
+        frame = pd.DataFrame(table)
         with _files.whole_file(name) as handle, contextlib.ExitStack() as stack:
             target = handle
             if _files.has_ending(name, (".gz",)):
@@ -205,6 +207,21 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
                 packed = gzip.GzipFile("", "wb", fileobj=handle, mtime=0)
                 target = cast("IO[bytes]", stack.enter_context(packed))
             frame.to_csv(target, index=False)
+
+
+def _require_lines(table: Columns) -> None:
+    """Raise an ArgumentError for a name with a line break, which no CSV is read with."""
+    for label, column in table.items():
+        if not column.dtype.hasobject:
+            continue
+        texts = {text: row for row, text in reversed(list(enumerate(column.tolist())))}
+        for text, row in texts.items():
+            if "\n" in text or "\r" in text:
+                raise ArgumentError(
+                    f"{label}[{row}]",
+                    "must have no line break, to be saved as CSV; it is"
+                    f" {_checks.show(text)} (save it as .npz or .parquet)",
+                )
 
 
 def load(
@@ -246,9 +263,11 @@ def _suggest_format(name: str) -> str:
         reader = "read_excel(path)"
     elif lower.endswith((".feather", ".arrow")):
         reader = "read_feather(path)"
-    elif lower.endswith((".tsv", ".tab", ".txt")):
+    elif lower.endswith((".tsv", ".tab")):
         reader = "read_csv(path, sep='\\t')"
-    elif lower.endswith((".zip", ".bz2", ".xz", ".zst", ".bak", ".dat")):
+    elif lower.endswith((".txt", ".dat", ".bak")):  # by any separator
+        reader = "read_csv(path, sep=None, engine='python')"
+    elif lower.endswith((".zip", ".bz2", ".xz", ".zst")):
         reader = "read_csv(path)"
     else:
         return ""

@@ -183,6 +183,12 @@ def _column_values(column: Any, place: str) -> Column:
             f"must hold numbers, texts or truth values; it holds {column.dtype}"
             f" ({_checks.first_line(error)})",
         ) from None
+    if values.ndim != 1:  # polars makes a table of a column of structs or arrays
+        raise ArgumentError(
+            place,
+            f"must hold numbers, texts or truth values; it holds {column.dtype} (make a"
+            " column of each part, and name them: columns={'state': ['x', 'y'], ...})",
+        )
     if values.dtype.kind in "Mm":  # which have a sign of their own for a missing one
         return values
     if values.dtype.kind in "UT":

@@ -383,6 +383,8 @@ def _refuse_mixture(
 def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
     """Raise an ArgumentError for an unread label that may hold a part of the log."""
     text = plain(label)
+    if isinstance(label, int) and not isinstance(label, bool):
+        text = str(label)  # 0, as pandas calls the sizes of its groups
     doubt = DOUBTS.get(text)
     if doubt is None:
         if text in OTHER_WORDS or text in FIELDS:
@@ -398,7 +400,7 @@ def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
             return
     if any(fields <= known for fields in doubt.settled_by):
         return
-    meaning = doubt.meaning
+    meaning = doubt.meaning.replace("LABEL", _checks.show(label))
     fields = [field for field in doubt.fields if field not in known]
     if doubt is END and "truncated" in known:
         meaning = (

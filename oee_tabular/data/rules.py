@@ -50,6 +50,11 @@ WAY = (
     " (to leave such rows out and let them lead anywhere: Transitions.open(...,"
     " bad_rows='drop'), oee counts --bad-rows drop)"
 )
+# the same of a word for a missing value that may be the name of a state or action
+NAME_WAY = (
+    " (where it is a name, give the simulator that has it: Problem(simulator, path),"
+    " Transitions.open(..., simulator=), --simulator)"
+)
 # the same of rows that do not follow each other, where a column may be the wrong one
 ORDER_WAY = (
     " (make sure first that episode, timestep, state and next_state are the right"
@@ -280,7 +285,8 @@ def _parse_number(item: Any) -> int | float:
     An int stays one, since a float does not hold all from 2**53 on; one beyond all
     floats is infinite.
     """
-    item = item.item() if isinstance(item, np.generic) else item
+    if isinstance(item, np.generic | np.ndarray) and not item.ndim:
+        item = item.item()
     if isinstance(item, str):
         return _parse_text(item)
     if isinstance(item, decimal.Decimal | fractions.Fraction):
@@ -405,7 +411,8 @@ def check_table(
             if find_text is not None:
                 fault = fault.with_text(find_text(label, int(fault.rows[0])))
             if is_absent(fault.value, own):
-                fault = fault._replace(hint=way)
+                is_name = label in MOVE and isinstance(fault.value, str) and not own
+                fault = fault._replace(hint=way + NAME_WAY if is_name else way)
             raise fault.to_error(source)
     _require_one_kind(values, source)
     return values
@@ -618,13 +625,14 @@ def _check_integers(
     numbers = to_numbers(raw)
     odd = np.zeros(len(numbers), dtype=np.bool_)
     is_rounded = odd
+    digits = _binary_digits(raw)
     if numbers.dtype.kind == "f":
         numbers = numbers.astype(np.float64, copy=False)  # half precision ends at 65504
         odd = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
         if raw.dtype.hasobject:  # an integer beyond all floats is too large
             for k in np.flatnonzero(np.isinf(numbers)):
                 odd[k] = isinstance(raw[k], str | float)
-        is_rounded = ~odd & (np.abs(numbers) >= 2.0**53)
+        is_rounded = ~odd & (np.abs(numbers) >= 2.0**digits)
     is_low = numbers < low
     is_high = numbers >= high
     limit = f"must be in {low}..{high - 1}"
@@ -634,11 +642,18 @@ def _check_integers(
         "must be an integer": odd,
         f"must be at least {low}": is_low,
         limit: is_high,
-        "must be an integer of 64 bits, or below 2**53, from where a float does not hold"
-        " each": is_rounded,
+        f"must be an integer of 64 bits, or below 2**{digits}, from where a float does"
+        " not hold each": is_rounded,
     }
     values = np.where(odd | is_low | is_high | is_rounded, 0, numbers).astype(np.int64)
     return values, find_fault(label, raw, rules)
+
+
+def _binary_digits(raw: Column) -> int:
+    """Return how many binary digits the numbers of a column hold, at most 53."""
+    if raw.dtype.kind != "f":
+        return 53
+    return int(min(np.finfo(raw.dtype).nmant + 1, 53))
 
 
 def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
@@ -653,12 +668,10 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     if label == "reward":
         is_good |= _find_absent(raw)
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
-    is_word = np.zeros(len(raw), dtype=np.bool_)
+    is_word = np.full(len(raw), raw.dtype.kind == "c")
     if raw.dtype.hasobject:
         odd = np.flatnonzero(~is_good)
-        is_word[odd] = [
-            _is_no_number(item) or "_" in str(item) for item in raw[odd].tolist()
-        ]
+        is_word[odd] = [_is_other(item) for item in raw[odd].tolist()]
     rules = {"must be a number": ~is_good & is_word, rule: ~is_good & ~is_word}
     return numbers, find_fault(label, raw, rules)
 
@@ -735,6 +748,16 @@ def _check_names(
 def _plain_name(item: Any) -> Any:
     """Return a text or a tuple as names have it, and any other value unchanged."""
     return to_plain(item) if isinstance(item, str | tuple) else item
+
+
+def _is_other(item: Any) -> bool:
+    """Return whether an item is not a number, nor a text that writes one plainly."""
+    if isinstance(item, str):
+        return _is_no_number(item) or "_" in item
+    if isinstance(item, bool):
+        return True
+    kinds = float, int, np.floating, np.integer, decimal.Decimal, fractions.Fraction
+    return item is not None and not isinstance(item, kinds)
 
 
 def _is_no_number(item: Any) -> bool:

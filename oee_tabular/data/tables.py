@@ -670,10 +670,17 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
     """Return the labels, the first values and the encoding of a CSV file."""
     with _csv_errors(path):
         with open_csv(path) as handle:
-            mark = handle.read(3)
+            start = handle.read(4)
+        mark = start[:3]
         if mark[:2] == b"\xfe\xff":
             raise ValueError(
                 "it is UTF-16 of the order that few programs write (save it as UTF-8)"
+            )
+        # a letter of a label takes two bytes there, or four
+        is_wide = mark[:2] != b"\xff\xfe" or start[2:] == b"\0\0"
+        if b"\0" in start and is_wide:
+            raise ValueError(
+                "it is UTF-32, or UTF-16 without a byte order mark (save it as UTF-8)"
             )
     encoding = "utf-8"
     if mark[:2] == b"\xff\xfe":

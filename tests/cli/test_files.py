@@ -1,6 +1,7 @@
 """The commands of files, and logs of several of them."""
 
 import json
+import os
 
 import numpy as np
 import pandas as pd
@@ -174,6 +175,20 @@ def test_counts_stand_for_the_log(run, parts):
     ]
     assert "TransitionCounts(" in run("info counts.npz")
     run(f"plan --simulator {GRID} --log counts.npz --transitions 50")
+
+
+@pytest.mark.parametrize(
+    "log", ["log.npz", "./log.npz", "link.npz log.npz", "hard.npz"]
+)
+def test_counts_do_not_replace_the_log_they_are_made_of(run, tmp_path, log):
+    file = tmp_path / "log.npz"
+    oee.Transitions([0, 1], [0, 0], [1, 0]).save(file)
+    os.symlink(file, tmp_path / "link.npz")
+    os.link(file, tmp_path / "hard.npz")
+    before = file.read_bytes()
+    told = run(f"counts {log} --output log.npz --overwrite", code=2)
+    assert "--output must be another file than the log" in told
+    assert file.read_bytes() == before
 
 
 def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):

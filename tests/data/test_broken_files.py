@@ -563,3 +563,49 @@ def test_a_table_beyond_memory_is_refused_while_it_is_read(
     monkeypatch.setattr(oee._checks, "free_memory", lambda: 4 * 2**20)
     with pytest.raises(MemoryError, match=rf"log{ending}' needs .* are free"):
         oee.Transitions.load(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+@pytest.mark.parametrize("read", [oee.Transitions.load, oee.Transitions.open])
+def test_an_encoding_of_two_bytes_a_letter_or_four_is_named(tmp_path, encoding, read):
+    text = "state,action,next_state\n0,0,1\n"
+    (tmp_path / "l.csv").write_bytes(text.encode(encoding))
+    with pytest.raises(ValueError, match=r"l\.csv' must .*UTF-(16|32).* \(save it as"):
+        read(tmp_path / "l.csv")
+
+
+@pytest.mark.parametrize("sep", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["txt", "dat"])
+def test_the_advice_on_a_text_of_any_separator_makes_a_log(tmp_path, sep, end):
+    path = tmp_path / f"l.{end}"
+    path.write_text(f"state{sep}action{sep}next_state\n0{sep}0{sep}1\n")
+    with pytest.raises(ValueError, match="sep=None, engine='python'"):
+        oee.Transitions.load(path)
+    pd.read_csv(path, sep=None, engine="python").to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    assert oee.Transitions.load(tmp_path / "log.csv").next_state.tolist() == [1]
+
+
+@pytest.mark.parametrize("break_", ["\n", "\r", "\r\n"])
+def test_a_name_with_a_line_break_is_saved_where_it_can_be_read(tmp_path, break_):
+    name = f"a{break_}b"
+    log = oee.Transitions([name, "c"], ["x", "x"], ["c", name])
+    for end in ("csv", "csv.gz"):
+        with pytest.raises(ValueError, match=r"^state\[0\] must have no line break"):
+            log.save(tmp_path / f"l.{end}")
+        assert not (tmp_path / f"l.{end}").exists()
+    for end in ("npz", "parquet"):
+        log.save(tmp_path / f"l.{end}")
+        assert oee.Transitions.load(tmp_path / f"l.{end}").state_names == (name, "c")
+
+
+@pytest.mark.parametrize("name", ["NA", "None", "missing"])
+@pytest.mark.parametrize("end", ["csv", "parquet"])
+def test_a_name_that_means_no_value_elsewhere_takes_its_simulator(tmp_path, name, end):
+    oee.Transitions([name, "b"], ["x", "x"], ["b", name]).save(tmp_path / f"l.{end}")
+    with pytest.raises(ValueError, match=r"where it is a name, .*Problem\(simulator"):
+        oee.Transitions.load(tmp_path / f"l.{end}")
+    mdp = oee.FiniteMDP([[[0, 1]], [[1, 0]]], [[0], [0]], 0, 0.9)
+    named = mdp.with_names([name, "b"], ["x"])
+    assert oee.Problem(named, str(tmp_path / f"l.{end}")).counts.sum() == 2

@@ -577,3 +577,16 @@ def test_values_that_cannot_be_hashed_are_refused_by_place(odd):
     frame = frame.assign(next_state=["b", "a"])
     with pytest.raises(ValueError, match="action"):
         Transitions.from_frame(frame)
+
+
+def test_columns_of_several_values_a_row_are_refused_by_name():
+    polars = pytest.importorskip("polars")
+    place = [{"x": 0, "y": 1}, {"x": 1, "y": 1}]
+    structs = polars.DataFrame({"state": place, "action": [0, 0], "next_state": place})
+    pairs = structs.with_columns(
+        polars.Series(name, [[0, 1], [1, 1]], dtype=polars.Array(polars.Int64, 2))
+        for name in ("state", "next_state")
+    )
+    for frame in (structs, pairs):
+        with pytest.raises(ValueError, match=r"^frame: state must hold numbers"):
+            oee.Transitions.from_frame(frame)

@@ -276,6 +276,11 @@ def test_labels_that_may_mean_two_things_are_refused_where_something_is_lost(lab
             {"action_logp": -1},
             "write a column behavior_probability of its exponentials",
         ),
+        (
+            {"n": 3, "episode": None},
+            r"rows, frame.loc\[frame.index.repeat\(frame\['n'\]\)\].*--column episode=",
+        ),
+        ({"Visit Count": 3, "episode": None}, "'Visit Count' may say how many"),
         ({"obs": 0, "next_obs": 0, "next_state": None}, "of one kind"),
         ({"traj_id": 0, "ep": 0, "episode": None}, "'traj_id' and 'ep' may each hold"),
     ],
@@ -306,6 +311,23 @@ def test_what_a_log_can_do_without_is_left_out(tmp_path, more):
             log = read()
         assert log.summary()["terminated"] == 0
         assert log.summary()["largest_state"] == 2
+
+
+def test_a_table_of_counts_is_no_log_until_its_rows_are_repeated():
+    moves = OURS[["state", "action", "next_state"]]
+    for table in (
+        moves.groupby(list(moves), as_index=False).size(),
+        moves.groupby(list(moves)).size().reset_index(),
+        moves.value_counts().reset_index(),
+    ):
+        with pytest.raises(ArgumentError, match="may say how many transitions a row"):
+            Transitions.from_frame(table)
+        label = table.columns[-1]
+        whole = table.loc[table.index.repeat(table[label])].drop(columns=label)
+        assert len(Transitions.from_frame(whole)) == len(OURS)
+        with pytest.warns(DataWarning, match=f"left out: {label}$"):
+            log = Transitions.from_frame(table, columns={"episode": None})
+        assert len(log) == len(table)
 
 
 def test_a_doubt_is_settled_by_what_columns_says(tmp_path):

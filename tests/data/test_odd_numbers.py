@@ -74,3 +74,43 @@ def test_a_frame_in_place_of_a_path():
     for read in (Transitions.load, Transitions.open):
         with pytest.raises(ArgumentError, match="DataFrame, which from_frame reads"):
             read(frame)
+
+
+@pytest.mark.parametrize("label", ["state", "action", "next_state", "episode"])
+@pytest.mark.parametrize(("kind", "digits"), [("f2", 11), ("f4", 24), ("f8", 53)])
+def test_floats_are_integers_below_where_they_hold_each(label, kind, digits):
+    columns = {name: np.zeros(2, dtype=np.int64) for name in LABELS[:3]}
+    good = np.full(2, 2**digits - 1, dtype=kind)
+    log = Transitions(**columns | {label: good})
+    assert_array_equal(log.columns()[label], 2**digits - 1)
+    bad = np.full(2, 2**digits, dtype=kind)
+    frame = pd.DataFrame(columns | {label: bad})
+    rule = rf"{label}\[0\] must be an integer of 64 bits, or below 2\*\*{digits},"
+    with pytest.raises(ArgumentError, match=rule):
+        Transitions(**columns | {label: bad})
+    with pytest.raises(ArgumentError, match=rule):
+        Transitions.from_frame(frame)
+
+
+@pytest.mark.parametrize(
+    "value", [[1.0], np.ones(1), {"a": 1}, (1.0,), b"1", 1j, True], ids=repr
+)
+def test_what_is_no_number_is_said_to_be_none(value):
+    rewards = pd.Series([0.5, value], dtype=object)
+    frame = pd.DataFrame({name: [0, 0] for name in LABELS} | {"reward": rewards})
+    with pytest.raises(ArgumentError, match=r"reward\[1\] must be a number; it is"):
+        Transitions.from_frame(frame)
+
+
+@pytest.mark.parametrize("value", [np.inf, np.float32("inf"), decimal.Decimal("inf")])
+def test_what_is_not_finite_is_said_to_be_so(value):
+    rewards = pd.Series([0.5, value], dtype=object)
+    frame = pd.DataFrame({name: [0, 0] for name in LABELS} | {"reward": rewards})
+    with pytest.raises(ArgumentError, match=r"reward\[1\] must be finite; it is"):
+        Transitions.from_frame(frame)
+
+
+def test_an_array_without_dimensions_is_its_number():
+    rewards = pd.Series([np.array(0.5), np.array(2)], dtype=object)
+    frame = pd.DataFrame({name: [0, 0] for name in LABELS} | {"reward": rewards})
+    assert_array_equal(Transitions.from_frame(frame).reward, [0.5, 2.0])
