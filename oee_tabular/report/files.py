@@ -246,8 +246,8 @@ def plain(value: object) -> Any:
 def summary(path: Path) -> str:
     """Summarise a report.json file in a few lines."""
     _files.require_regular(path)
+    report = _read_object(path)
     try:
-        report = json.loads(_files.read_text(path))
         lines = [f"Report of {report['unit']}"]
         lines += [
             f"{key.capitalize()}: {report['facts'][key]}"
@@ -261,8 +261,55 @@ def summary(path: Path) -> str:
                 shown = _printing.interval(lower, upper)
                 ends = f"  {shown} ({row['interval_method']})"
             lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
-    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError):
         raise ArgumentError(
-            f"{str(path)!r}", f"must be a report that oee evaluate wrote; {error}"
+            repr(str(path)),
+            f"{JSON_RULE}; its parts {', '.join(PARTS)} are not those of a report"
+            " (write it again: oee evaluate --output FOLDER)",
         ) from None
     return "\n".join(lines)
+
+
+PARTS = ("unit", "facts", "results")  # of a report
+JSON_RULE = (
+    "must be a report that oee evaluate wrote, or outcomes of episodes as LeRobot's"
+    " eval_info.json has them"
+)
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    """Return the JSON object of a file with the parts of a report.
+
+    Raises an ArgumentError for another file, with what it holds in words.
+    """
+    name = repr(str(path))
+    try:
+        text = _files.read_text(path)
+        found = json.loads(text)
+    except ArgumentError:
+        raise
+    except json.JSONDecodeError as error:
+        line = text.split("\n")[error.lineno - 1]
+        place = f"line {error.lineno}, column {error.colno}"
+        holds = f"it is no JSON in {place}, {_checks.show(line)}"
+        if not text.strip():
+            holds = "it is empty"
+        raise ArgumentError(name, f"{JSON_RULE}; {holds}") from None
+    except UnicodeDecodeError:
+        raise ArgumentError(name, f"{JSON_RULE}; it is no text in UTF-8") from None
+    except (RecursionError, ValueError):
+        problem = "its parts are nested too deep, or its numbers too long"
+        raise ArgumentError(name, f"{JSON_RULE}; {problem}") from None
+    if not isinstance(found, dict):
+        kind = "a list" if isinstance(found, list) else "one value"
+        raise ArgumentError(
+            name, f"{JSON_RULE}; it holds {kind}, {_checks.show(found)}"
+        )
+    lacking = [part for part in PARTS if part not in found]
+    if lacking:
+        keys = _checks.escape_controls(", ".join(found)[:100])
+        holds = f"it has {keys}" if found else "it is empty, {}"
+        raise ArgumentError(
+            name, f"{JSON_RULE}; {holds}, and lacks {', '.join(lacking)}"
+        )
+    return found

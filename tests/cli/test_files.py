@@ -83,6 +83,31 @@ def test_info(run, tmp_path):
     assert "must be a report that oee evaluate wrote" in run("info other.json", code=2)
 
 
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("{}", "it is empty, {}, and lacks unit, facts, results"),
+        ('{"success": 9, "runs": 12}', "it has success, runs, and lacks unit, facts"),
+        ('{"unit": 1}', "it has unit, and lacks facts, results"),
+        ("[1, 0, 1]", "it holds a list, [1, 0, 1]"),
+        ("42", "it holds one value, 42"),
+        ("null", "it holds one value, None"),
+        ("", "it is empty"),
+        (" \n", "it is empty"),
+        ("not json", "it is no JSON in line 1, column 1, 'not json'"),
+        ('{"unit": 1,\n oops}', "it is no JSON in line 2, column 2, ' oops}'"),
+        ("[" * 10**5, "its parts are nested too deep"),
+        ("\xff", "it is no text in UTF-8"),
+        ('{"unit": 1, "facts": 2, "results": 3}', "are not those of a report (write"),
+    ],
+)
+def test_info_says_what_json_that_is_no_report_holds(run, tmp_path, text, found):
+    (tmp_path / "x.json").write_bytes(text.encode("latin-1"))
+    told = run("info x.json", code=2)
+    assert told.startswith("oee: 'x.json' must be a report that oee evaluate wrote, or")
+    assert found in told
+
+
 def test_info_on_trials(run, tmp_path):
     (tmp_path / "t.csv").write_text("policy,success\na,1\nb,0\na,1\n")
     said = run("info t.csv")
