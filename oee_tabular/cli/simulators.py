@@ -113,6 +113,7 @@ def read_simulator(
             raise ArgumentError(
                 repr(path), f"must have rewards, to be a simulator; it has {has}"
             )
+        _require_every_reward(path, log.reward)
         if start is None and log.episode is None:
             _require_initial(path)
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
@@ -120,6 +121,24 @@ def read_simulator(
         _require_initial(path)
     arguments = _read_probabilities(path, columns)
     return oee.FiniteMDP(initial=start, discount=gamma, **arguments)
+
+
+def _require_every_reward(path: str, reward: Any) -> None:
+    """Raise an ArgumentError for the first row of samples that has no reward."""
+    from oee_tabular.data.tables import describe_row
+
+    lacking = np.flatnonzero(np.isnan(reward))
+    if not lacking.size:
+        return
+    k = int(lacking[0])
+    is_csv = path.lower().endswith((".csv", ".csv.gz"))
+    row = describe_row(path, k) if is_csv else f"row {k}"
+    raise ArgumentError(
+        f"{path!r}: {row}: reward",
+        "must have a value in each row, to be a simulator; it has none"
+        f"{_checks.in_all(lacking.size, 'such rows')} (write the reward that the"
+        " simulator gave, 0 where it gave none)",
+    )
 
 
 def _has_probabilities(

@@ -639,3 +639,15 @@ def test_export_of_a_table_says_where_episodes_start_and_are_over(run, tmp_path)
     (tmp_path / "none.csv").write_text(f"{header}\n0,0,0,1,1")
     told = run("export none.csv --initial 0 --output none.npz")
     assert "episodes start in 0; no state is terminal" in told
+
+
+@pytest.mark.parametrize("end", ["csv", "csv.gz", "parquet"])
+@pytest.mark.parametrize("n_lacking", [1, 2])
+def test_samples_with_a_missing_reward_are_no_simulator(run, folder, end, n_lacking):
+    rewards = [1.0, 2.0, 3.0, *[np.nan] * n_lacking]
+    frame = pd.DataFrame({"state": 0, "action": 0, "next_state": 0, "reward": rewards})
+    getattr(frame, f"to_{end.split('.')[0]}")(f"s.{end}", index=False)
+    told = run(f"export s.{end} --initial 0 --output s.npz", code=2)
+    row = "row 3" if end == "parquet" else "row 3 (line 5)"
+    assert f"'s.{end}': {row}: reward must have a value in each row" in told
+    assert ("(2 such rows in all)" in told) == (n_lacking == 2)
