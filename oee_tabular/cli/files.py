@@ -299,8 +299,9 @@ def export(
 
     A continuous task is written as its finite MDP, with the cells and what they were
     made from. A table (.csv) with the columns state, action, next_state, probability
-    and reward is written as it is. One of samples (.csv, .parquet), without
-    probability, is written by its frequencies.
+    and reward is written as it is. Where it has a column terminated as well, nothing
+    more is earned after a transition in which that is true. One of samples (.csv,
+    .parquet), without probability, is written by its frequencies.
     """
     endings = oee.tasks.MDP_ENDINGS
     file = _files.new_file(output, "--output", overwrite=overwrite, endings=endings)
@@ -507,7 +508,7 @@ def describe_files(
         states = oee.ContinuousTransitions.load(given, columns=columns)
         text = _describe_states(states)
         return "continuous_transitions", text + _describe_labels(states, files, columns)
-    if is_single and path.suffix.lower() in (".csv", ".gz"):
+    if is_single and path.suffix.lower() in (".csv", ".gz", ".parquet"):
         table = describe_table(file, columns or {})
         if table is not None:
             return "simulator_table", table

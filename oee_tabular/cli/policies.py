@@ -258,7 +258,8 @@ def _settle(
                 " probability, or by the action's name, if these are the policy's, else"
                 f" leave it out of the file){suggest_label(label, list(mdp.action_names or ()))}",
             )
-    warn_read_as(name, [pair for pair in renamed if pair[0] != pair[1]], option="")
+    others = [pair for pair in renamed if pair[0] != pair[1]]
+    warn_read_as(name, others, option="", of="policy")
     warn_left_out(repr(name.strip("'")), left, of="policy")
 
 

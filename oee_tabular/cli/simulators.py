@@ -13,12 +13,19 @@ import numpy as np
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks
 from oee_tabular._arguments import is_whole_number, whole_number
-from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.cli.transition_tables import (
+    COLUMNS,
+    ENDS,
+    FIELDS,
+    PROBABILITY,
+    describe_missing,
+    find_label,
+    find_missing,
+    read_transition_table,
+)
+from oee_tabular.exceptions import ArgumentError
 
 SUM_TOLERANCE = 1e-6  # of the probabilities of a state and action
-ROUNDING = 0.01  # by which a sum of probabilities that were rounded may be off
-PROBABILITY = "probability"
-FIELDS = ("state", "action", "next_state", PROBABILITY, "reward")
 FEW_STATES = 5  # that are named of those where episodes start or are over
 TABLES = (".csv", ".csv.gz", ".parquet", ".tsv", ".txt", ".xlsx")
 
@@ -58,9 +65,9 @@ def _write_column_options(spec: str) -> str:
         labels = read_labels(spec)
     except (ArgumentError, OSError):
         return ""
-    known = {_find_label(field, labels, {}) for field in FIELDS}
+    known = {find_label(field, labels, {}) for field in COLUMNS}
     free = [label for label in labels if label and label not in known]
-    missing = _find_missing(labels, {}, (*FIELDS[:3], "reward"))
+    missing = find_missing(labels, {}, (*FIELDS[:3], "reward"))
     if missing and missing[-1] == "reward" and len(free) < len(missing):
         missing.pop()  # it may be in no column
     has_vectors = any(re.fullmatch(r"(next_)?state_\d+", label) for label in labels)
@@ -109,7 +116,7 @@ def read_simulator(
             own.setdefault("behavior_probability", None)
         log = load_samples(path, own)
         if log.reward is None:
-            has = _describe_missing(labels, ["reward"], own) if labels else "none"
+            has = describe_missing(labels, ["reward"], own) if labels else "none"
             raise ArgumentError(
                 repr(path), f"must have rewards, to be a simulator; it has {has}"
             )
@@ -119,8 +126,8 @@ def read_simulator(
         return oee.FiniteMDP.from_log(log, discount=gamma, initial=start)
     if start is None:
         _require_initial(path)
-    arguments = _read_probabilities(path, columns)
-    return oee.FiniteMDP(initial=start, discount=gamma, **arguments)
+    arguments = read_transition_table(path, columns).to_arguments(start)
+    return oee.FiniteMDP(discount=gamma, **arguments)
 
 
 def _require_every_reward(path: str, reward: Any) -> None:
@@ -175,7 +182,7 @@ def _has_probabilities(
             unknown.append(label)
     pair: list[Any] = []
     for field in FIELDS[:2]:
-        found = _find_label(field, labels, columns)
+        found = find_label(field, labels, columns)
         pair += found if isinstance(found, tuple) else (found,)
     for label in _find_sums_of_one(path, pair, unknown):
         _ask_after(path, label, "sums to 1 for each state and action, as probabilities")
@@ -250,10 +257,10 @@ def _name_missing(path: str, columns: Mapping[str, Any], error: ArgumentError) -
     labels = read_labels(path)
     if any(label not in labels for label in columns.values()):
         return  # several columns to a state, or none
-    missing = _find_missing(labels, columns, FIELDS[:3])
+    missing = find_missing(labels, columns, FIELDS[:3])
     if not missing or suggest_columns(FIELDS[:3], labels):
         return
-    lacks = _find_missing(labels, columns, FIELDS[3:])
+    lacks = find_missing(labels, columns, FIELDS[3:])
     more = "has probability and reward as well"
     if lacks:
         words = " ".join(f"--column {field}=LABEL" for field in lacks)
@@ -265,35 +272,9 @@ def _name_missing(path: str, columns: Mapping[str, Any], error: ArgumentError) -
     raise ArgumentError(
         repr(path),
         f"must have the columns {', '.join(FIELDS[:3])}; it has"
-        f" {_describe_missing(labels, missing, columns)}; a simulator's table,"
+        f" {describe_missing(labels, missing, columns)}; a simulator's table,"
         f" for oee export, {more}",
     ) from error
-
-
-def _find_missing(
-    labels: list[Any], columns: Mapping[str, Any], fields: tuple[str, ...]
-) -> list[str]:
-    """Return which of the fields no column of a table holds."""
-    return [
-        field for field in fields if _find_label(field, labels, columns) not in labels
-    ]
-
-
-def _describe_missing(
-    labels: list[Any], missing: list[str], columns: Mapping[str, Any]
-) -> str:
-    """Return in words what a table has, what it lacks, and the options that help."""
-    from oee_tabular.data.labels import show_labels, suggest_label
-
-    known = {_find_label(field, labels, columns) for field in FIELDS}
-    free = [label for label in labels if label not in known]
-    names = []
-    for field in missing:
-        name = columns.get(field) or field
-        names.append(f"{name}{suggest_label(name, free)}")
-    words = " ".join(f"--column {field}=LABEL" for field in missing)
-    lacking = " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
-    return f"{show_labels(labels)}, and none is {lacking} ({words})"
 
 
 def _require_initial(path: str) -> None:
@@ -304,292 +285,69 @@ def _require_initial(path: str) -> None:
     )
 
 
-def _read_probabilities(path: str, columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a FiniteMDP from a table of its transitions.
-
-    A state that no row leaves is terminal.
-    """
-    from oee_tabular.data.tables import describe_row
-    from oee_tabular.mdp import csr_from_entries
-
-    state, action, following, probability, reward = _read_columns(path, columns)
-    number, states = _number(np.concatenate([state, following]))
-    codes, actions = _number(action)
-    n = len(state)
-    n_states = int(number.max()) + 1
-    n_actions = int(codes.max()) + 1
-    rows = number[:n] * n_actions + codes
-    to = number[n:]
-    twice = np.flatnonzero(_is_repeated(rows * n_states + to))
-    if twice.size:
-        k = int(twice[0])
-        raise ArgumentError(
-            f"{path!r}: {describe_row(path, k)}",
-            "must be the only one of its state, action and next_state;"
-            f" {state[k]}, {action[k]}, {following[k]} has another",
-        )
-    ends = np.setdiff1d(np.arange(n_states), number[:n])
-    if states is not None:
-        _warn_of_misspelt(path, number, ends, states)
-    loops = (ends[:, None] * n_actions + np.arange(n_actions)).ravel()
-    shape = (n_states * n_actions, n_states)
-    rows = np.concatenate([rows, loops])
-    to = np.concatenate([to, np.repeat(ends, n_actions)])
-    zeros = np.zeros(len(loops))
-    _require_every_action(path, rows, n, states, actions, (n_states, n_actions))
-    sums = np.bincount(rows[:n], probability)[rows[:n]]
-    wrong = np.flatnonzero(~(abs(sums - 1.0) <= _checks.SUM_TOLERANCE))
-    if wrong.size:
-        k = int(wrong[0])
-        way = "a row may be missing, or be there twice under two names"
-        if abs(sums[k] - 1.0) < ROUNDING:
-            way = "of rounded ones, divide each by the sum of its pair"
-        raise ArgumentError(
-            f"{path!r}: state {state[k]}, action {action[k]} (first in"
-            f" {describe_row(path, k)}): probability",
-            f"must {_checks.SUM_RULE.format(sums[k])} ({way})",
-        )
-    return {
-        "transitions": csr_from_entries(
-            rows, to, np.concatenate([probability, zeros + 1]), shape
-        ),
-        "rewards": csr_from_entries(rows, to, np.concatenate([reward, zeros]), shape),
-        "state_names": states,
-        "action_names": actions,
-    }
-
-
-def _warn_of_misspelt(path: str, number: Any, ends: Any, states: list[Any]) -> None:
-    """Warn of terminal states whose names may be misspellings of other states'.
-
-    ``number``: the states of the rows, and then their next states.
-    """
-    from oee_tabular.data.tables import describe_row
-    from oee_tabular.mdp import find_misspelt_ends
-
-    is_end = np.zeros(len(states), dtype=np.bool_)
-    is_end[ends] = True
-    n_rows = np.bincount(number, minlength=len(states))
-    notes = []
-    for name, other in find_misspelt_ends(states, is_end, n_rows):
-        row = np.flatnonzero(number == states.index(name))[0] - len(number) // 2
-        notes.append((int(row), name, other))
-    if not notes:
-        return
-    row, name, other = notes[0]
-    more = _checks.in_all(len(notes), "such states")
-    _checks.warn(
-        f"{path!r}: {describe_row(path, row)}: next_state {_checks.show(name)} resembles"
-        f" the state {_checks.show(other)}, and no row begins in it: it is read as"
-        f" another state, which is terminal{more}. If it is misspelt, write"
-        f" {_checks.show(other)}; if it is meant, give it a row for each action that"
-        " leads back to it with probability 1 and reward 0",
-        DataWarning,
-    )
-
-
-def _require_every_action(
-    path: str,
-    rows: Any,
-    n: int,
-    states: list[Any] | None,
-    actions: list[Any] | None,
-    shape: tuple[int, int],
-) -> None:
-    """Raise an ArgumentError where a state has one action in the table but not all.
-
-    ``rows`` are the numbers s * A + a of the pairs that are there, ``shape`` is (S, A);
-    the first ``n`` of them are those of the table's rows.
-    """
-    lacking = np.setdiff1d(np.arange(shape[0] * shape[1]), rows)
-    if not lacking.size:
-        return
-    s, a = divmod(int(lacking[0]), shape[1])
-    state = s if states is None else states[s]
-    action = a if actions is None else actions[a]
-    raise ArgumentError(
-        repr(path),
-        f"must have every action of a state that has one; state {state}, action"
-        f" {action} is not there ({lacking.size} such pairs"
-        f"{_find_cause(path, rows[:n], states, actions, shape[1])}; of actions that"
-        " cannot be taken, save one made by FiniteMDP(..., available=))",
-    )
-
-
-def _find_cause(
-    path: str,
-    rows: Any,
-    states: list[Any] | None,
-    actions: list[Any] | None,
-    n_actions: int,
-) -> str:
-    """Say of a name of few rows that it may be another that is misspelt; "" for none."""
-    from oee_tabular.data.tables import describe_row
-    from oee_tabular.mdp import find_misspelt
-
-    for names, codes in ((actions, rows % n_actions), (states, rows // n_actions)):
-        known = names or []
-        for name, others in find_misspelt(known, known).items():
-            places = [
-                np.flatnonzero(codes == known.index(each)) for each in (name, others[0])
-            ]
-            if not all(map(len, places)):
-                continue  # a state that no row leaves
-            # the misspelt one stands in fewer rows, or came later
-            rare = min(places, key=lambda found: (len(found), -found[0]))
-            misspelt, meant = (name, others[0])[:: 1 if rare is places[0] else -1]
-            return (
-                f"; {describe_row(path, int(rare[0]))} has {_checks.show(misspelt)}: is"
-                f" {_checks.show(meant)} meant?"
-            )
-    return ""
-
-
-def _read_columns(path: str, columns: Mapping[str, Any]) -> list[Any]:
-    """Return state, action, next_state, probability and reward of a table."""
-    from oee_tabular.cli.policies import drop_index, require_commas
-    from oee_tabular.data.labels import warn_left_out
-    from oee_tabular.data.tables import csv_frame, describe_row
-
-    name = repr(path)
-    if not path.lower().endswith((".csv", ".csv.gz")):
-        raise ArgumentError(name, "must be a .csv file, to have probabilities")
-    for field in columns:
-        if field not in FIELDS:
-            raise ArgumentError(
-                "--column",
-                f"must name columns of {', '.join(FIELDS)} for a table with"
-                f" probabilities; it names {_checks.show(field)}",
-            )
-    require_commas(path, [str(label) for label in columns.values()])
-    frame = drop_index(csv_frame(path))
-    labels = list(frame.columns)
-    missing = _find_missing(labels, columns, FIELDS)
-    if missing:
-        raise ArgumentError(
-            name,
-            "must have the columns state, action, next_state, probability and reward;"
-            f" it has {_describe_missing(labels, missing, columns)}",
-        )
-    found = []
-    used = []
-    for field in FIELDS:
-        label = _find_label(field, labels, columns)
-        used.append(label)
-        values = frame[label].to_numpy()
-        if frame[label].isna().any():
-            k = int(np.flatnonzero(frame[label].isna())[0])
-            raise ArgumentError(
-                f"{name}: {describe_row(path, k)}: {field}",
-                "must have a value; it has none",
-            )
-        if field in (PROBABILITY, "reward"):
-            values = _read_numbers(path, field, values)
-        elif values.dtype.kind == "O":
-            _refuse_blanks(path, field, values)
-        found.append(values)
-    warn_left_out(repr(path), [label for label in frame.columns if label not in used])
-    return found
-
-
-def _refuse_blanks(path: str, field: str, values: Any) -> None:
-    """Raise an ArgumentError for a name that begins or ends with a blank."""
-    from oee_tabular.data.tables import describe_row
-
-    for k, name in enumerate(values):
-        if isinstance(name, str) and name != name.strip():
-            raise ArgumentError(
-                f"{path!r}: {describe_row(path, k)}: {field}",
-                f"must not begin or end with a blank; it is {_checks.show(name)}",
-            )
-
-
-def _read_numbers(path: str, field: str, values: Any) -> Any:
-    """Return a column of probabilities, from 0 to 1, or of finite rewards."""
-    import pandas as pd
-
-    from oee_tabular.data.tables import describe_row
-
-    numbers = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(np.float64)
-    is_wrong = ~np.isfinite(numbers)
-    rule = "must be a finite number"
-    if not is_wrong.any() and field == PROBABILITY:
-        is_wrong = (numbers < 0.0) | (numbers > 1.0)
-        rule = "must be in [0, 1]"
-    if is_wrong.any():
-        k = int(np.flatnonzero(is_wrong)[0])
-        raise ArgumentError(
-            f"{path!r}: {describe_row(path, k)}: {field}",
-            f"{rule}; it is {_checks.show(values[k : k + 1].tolist()[0])}",
-        )
-    return numbers
-
-
-def _find_label(field: str, labels: list[Any], columns: Mapping[str, Any]) -> Any:
-    """Return what a table calls a column; None where no label is likely."""
-    from oee_tabular.data.aliases import POLICY_PROBABILITY, find_field, plain
-
-    if columns.get(field) is not None:
-        return columns[field]
-    likely = [
-        each
-        for each in labels
-        if each == field
-        or (field == "probability" and plain(each) in POLICY_PROBABILITY)
-        or find_field(each, has_vectors=False) == field
-    ]
-    return field if field in likely else (likely or [None])[0]
-
-
 def describe_table(path: str, columns: Mapping[str, Any]) -> str | None:
     """Return in words what a simulator's table holds; None where a file is none.
 
-    It has state, action, next_state and a column of probabilities, which sum to 1 over
-    the rows of a state and action. Those of the actions of a log do not.
+    It has state, action, next_state and a column of probabilities, and none that a log
+    alone has. Raises an ArgumentError where it breaks a rule of such tables, unless its
+    label says that the probabilities are those of a log's actions.
     """
-    from oee_tabular.cli.policies import drop_index
+    label = _find_probabilities(path, columns)
+    if label is None:
+        return None
     from oee_tabular.data.aliases import find_field
-    from oee_tabular.data.tables import csv_frame, read_labels
+    from oee_tabular.data.tables import read_labels
 
-    if not path.lower().endswith((".csv", ".csv.gz")) or columns.keys() - set(FIELDS):
+    is_named = PROBABILITY in columns
+    is_of_actions = find_field(label, has_vectors=False) == "behavior_probability"
+    labels = read_labels(path)
+    has_rewards = find_label("reward", labels, columns) in labels
+    try:
+        table = read_transition_table(path, columns, has_rewards=has_rewards)
+    except ArgumentError as error:
+        if is_named:
+            raise
+        if is_of_actions:
+            return None
+        word = _checks.escape_controls(shlex.quote(f"behavior_probability={label:.80}"))
+        raise ArgumentError(
+            error.argument,
+            f"{error.rule}; if the file is a log, and {_checks.show(label)} the"
+            f" probability of the action that was taken: --column {word}",
+        ) from None
+    rows = table.outcomes
+    n_states = len(np.union1d(rows.state, rows.next_state))
+    lacking = "" if has_rewards else ", once it has a column reward"
+    return (
+        f"table of a simulator: {len(rows.state)} transitions of {n_states} states and"
+        f" {len(np.unique(rows.action))} actions with probabilities"
+        f" ({_checks.show(label)}), which sum to 1 for each state and action; no"
+        f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
+        f" STATE --discount G --output simulator.npz{_repeat_columns(columns)}"
+    )
+
+
+def _find_probabilities(path: str, columns: Mapping[str, Any]) -> str | None:
+    """Return the label of the probabilities of a simulator's table, by labels alone.
+
+    None where the labels are not those of such a table.
+    """
+    from oee_tabular.data.aliases import find_field
+    from oee_tabular.data.tables import read_labels
+
+    is_read = path.lower().endswith((".csv", ".csv.gz", ".parquet"))
+    if not is_read or columns.keys() - set(COLUMNS):
         return None
     if columns.get(PROBABILITY, "") is None:  # left out, so that rows are samples
         return None
     labels = read_labels(path)
-    found = {field: _find_label(field, labels, columns) for field in FIELDS}
-    own = [found[field] for field in FIELDS[:4]]
+    own = [find_label(field, labels, columns) for field in FIELDS[:4]]
     if not set(own) <= set(labels) or len(set(own)) < len(own):
         return None
     others = {find_field(each, has_vectors=False) for each in labels if each not in own}
-    if others - {None, "reward"}:  # columns that a log alone has
+    if others - {None, "reward", *ENDS}:  # columns that a log alone has
         return None
-    frame = drop_index(csv_frame(path))
-    if not set(own) <= set(frame.columns):
-        return None
-    state, action, following, probability = own
-    values = frame[probability]
-    if (
-        values.dtype.kind not in "iuf"
-        or not len(frame)
-        or frame[own].isna().to_numpy().any()
-    ):
-        return None
-    sums = frame.groupby([state, action])[probability].sum()
-    is_repeated = frame.duplicated([state, action, following]).any()
-    if is_repeated or not bool((abs(sums - 1.0) <= SUM_TOLERANCE).all()):
-        return None
-    states = set(frame[state]) | set(frame[following])
-    reward = found["reward"]
-    lacking = ""
-    if reward not in labels:
-        lacking = ", once it has a column reward"
-    return (
-        f"table of a simulator: {len(frame)} transitions of {len(states)} states and"
-        f" {frame[action].nunique()} actions with probabilities"
-        f" ({_checks.show(probability)}), which sum to 1 for each state and action; no"
-        f" log\nto evaluate with it{lacking}: oee export {shlex.quote(path)} --initial"
-        f" STATE --discount G --output simulator.npz{_repeat_columns(columns)}"
-    )
+    return str(own[3])
 
 
 def _repeat_columns(columns: Mapping[str, Any]) -> str:
@@ -609,10 +367,17 @@ def describe_ends(mdp: oee.FiniteMDP) -> str:
     if not ends.size:
         return f"{text}no state is terminal"
     are, back = ("is", "it") if ends.size == 1 else ("are", "the same state")
-    return (
-        f"{text}{_list_states(mdp, ends)} {are} terminal: every action leads back to"
-        f" {back} with reward 0"
+    text += (
+        f"{_list_states(mdp, ends)} {are} terminal: every action leads back to {back}"
+        " with reward 0"
     )
+    twins = mdp.terminal_state != np.arange(len(mdp.terminal_state))
+    twin = np.flatnonzero(twins)
+    if twin.size:
+        entered = _list_states(mdp, twin)
+        after = _list_states(mdp, mdp.terminal_state[twin])
+        text += f"; a transition that ends the task in {entered} leads to {after}"
+    return text
 
 
 def _list_states(mdp: oee.FiniteMDP, states: Any) -> str:
@@ -623,21 +388,3 @@ def _list_states(mdp: oee.FiniteMDP, states: Any) -> str:
     ]
     more = len(states) - len(names)
     return ", ".join(names) + (f" and {more} other states" if more else "")
-
-
-def _number(column: Any) -> tuple[Any, list[Any] | None]:
-    """Return a column of names as numbers in the order of first rows, with the names.
-
-    A column of numbers has no names.
-    """
-    if column.dtype.kind in "iu":
-        return column.astype(np.int64), None
-    names = list(dict.fromkeys(column.tolist()))
-    place = {name: k for k, name in enumerate(names)}
-    return np.array([place[name] for name in column.tolist()]), names
-
-
-def _is_repeated(values: Any) -> Any:
-    """Say of each value whether it stands there more than once."""
-    _, code, number = np.unique(values, return_inverse=True, return_counts=True)
-    return number[code] > 1

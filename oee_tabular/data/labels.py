@@ -172,7 +172,7 @@ def match_labels(
     read = [label for group in taken.values() for label in group]
     _require_labels_once([*read, *found], given, name, has_capitals=has_capitals)
     renamed = [
-        (_choose(field, group, name), field) for field, group in candidates.items()
+        (choose_label(field, group, name), field) for field, group in candidates.items()
     ]
     taken |= {field: (label,) for label, field in renamed}
     place = {label: k for k, label in reversed(list(enumerate(given)))}
@@ -184,7 +184,7 @@ def match_labels(
         _refuse_mixture(taken, left, name)
     known = {stem(field) for field in taken} | absent
     for label in left:
-        _refuse_doubt(label, known, name)
+        refuse_doubt(label, known, name)
     noted = [label for label in left if label not in absent]
     return Matching(taken, tuple(renamed), tuple(noted))
 
@@ -337,7 +337,7 @@ def _is_own(label: Any, has_vectors: bool) -> bool:
     return label in COLUMNS or (has_vectors and NUMBERED.fullmatch(label) is not None)
 
 
-def _choose(field: str, group: list[Any], name: str) -> Any:
+def choose_label(field: str, group: list[Any], name: str) -> Any:
     """Return a column's only label, or the one that is a log's own but for capitals."""
     same = [label for label in group if plain(label) == field]
     if len(group) == 1 or len(same) == 1:
@@ -380,7 +380,7 @@ def _refuse_mixture(
         )
 
 
-def _refuse_doubt(label: Any, known: set[str], name: str) -> None:
+def refuse_doubt(label: Any, known: set[str], name: str) -> None:
     """Raise an ArgumentError for an unread label that may hold a part of the log."""
     text = plain(label)
     if isinstance(label, int) and not isinstance(label, bool):
@@ -543,24 +543,24 @@ def warn_read_as(
     name: str,
     renamed: Iterable[tuple[Any, str]],
     option: str = " (columns=, --column name other columns)",
+    of: str = "log",
 ) -> None:
     """Warn of columns that are read by labels of other projects, in one sentence.
 
-    ``option`` says how to name others.
+    ``option`` says how to name others; ``of`` is what has these columns.
     """
     words = [f"{_checks.show(label)} as {field}" for label, field in renamed]
     if len(words) > MAX_SHOWN_COLUMNS:
         words[MAX_SHOWN_COLUMNS:] = [f"and {len(words) - MAX_SHOWN_COLUMNS} more"]
     if words:
-        what = "a log" if option else "a policy"
         _checks.warn(
-            f"{name} has other labels than {what}: it reads {', '.join(words)}{option}",
+            f"{name} has other labels than a {of}: it reads {', '.join(words)}{option}",
             DataWarning,
         )
 
 
 def warn_left_out(name: str, left_out: Sequence[Any], of: str = "log") -> None:
-    """Warn of columns that are not read, of a log or a policy."""
+    """Warn of columns that are not read, of a log or of another table."""
     if not left_out:
         return
     named = [

@@ -54,9 +54,12 @@ from oee_tabular.mdp.arrays import CsrArrays as CsrArrays
 from oee_tabular.mdp.arrays import check_layout as check_layout
 from oee_tabular.mdp.arrays import csr_from_entries as csr_from_entries
 from oee_tabular.mdp.arrays import name_transition as name_transition
+from oee_tabular.mdp.empirical import NUMBERS_PER_PAIR as NUMBERS_PER_PAIR
 from oee_tabular.mdp.environments import require_environment as require_environment
 from oee_tabular.mdp.finite_mdp import KIND as KIND
 from oee_tabular.mdp.finite_mdp import FiniteMDP
+from oee_tabular.mdp.gymnasium_table import Outcomes as Outcomes
+from oee_tabular.mdp.gymnasium_table import build_arguments as build_arguments
 from oee_tabular.mdp.horizons import SHORT_HORIZON as SHORT_HORIZON
 from oee_tabular.mdp.horizons import horizon_length as horizon_length
 from oee_tabular.mdp.horizons import limit_horizon as limit_horizon
@@ -72,6 +75,7 @@ from oee_tabular.mdp.naming import check_names as check_names
 from oee_tabular.mdp.naming import find_misspelt as find_misspelt
 from oee_tabular.mdp.naming import find_misspelt_ends as find_misspelt_ends
 from oee_tabular.mdp.naming import from_text as from_text
+from oee_tabular.mdp.naming import initial_distribution as initial_distribution
 from oee_tabular.mdp.naming import is_name as is_name
 from oee_tabular.mdp.naming import is_number_text as is_number_text
 from oee_tabular.mdp.naming import name_text as name_text

@@ -143,9 +143,13 @@ def build_arguments(
     transitions = csr_from_entries(rows, columns, weights, shape)
     table: Csr | Array
     if rewards is None:
-        weighted = np.concatenate([(weight * outcomes.reward)[is_kept], stay])
-        flow = csr_from_entries(rows, columns, weighted, shape)
-        table = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
+        own = np.concatenate([outcomes.reward[is_kept], stay])
+        table = csr_from_entries(rows, columns, own, shape)
+        if table.nnz < len(own):  # some are merged
+            flow = csr_from_entries(rows, columns, weights * own, shape)
+            mean = table.data.copy()
+            np.divide(flow.data, transitions.data, mean, where=transitions.data > 0.0)
+            table = csr_on_pattern(transitions, mean, own=True)
     else:
         table = np.zeros((n_states, n_actions))
         table[:n_own] = rewards
@@ -171,8 +175,9 @@ def _terminal_states(
     A state has a twin where it is entered both by termination and alive.
     """
     n_own = len(initial)
-    to = outcomes.next_state
-    terminated = outcomes.terminated
+    is_possible = outcomes.weight > 0.0
+    to = outcomes.next_state[is_possible]
+    terminated = outcomes.terminated[is_possible]
     is_ended = np.bincount(to[terminated], minlength=n_own) > 0
     is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
     twins = np.flatnonzero(is_ended & is_entered)

@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -158,7 +159,7 @@ def change_cell(table, row, label, value):
         ),
         (
             lambda t: change_cell(t, 8, "action", " n"),
-            "must not begin or end with a bl",
+            "nor begin or end with a blank; it is ' n'",
         ),
     ],
 )
@@ -641,6 +642,234 @@ def test_export_of_a_table_says_where_episodes_start_and_are_over(run, tmp_path)
     assert "episodes start in 0; no state is terminal" in told
 
 
+HEADER = ",".join(COLUMNS)
+
+
+def write_table(name, rows, *more):
+    """Write a simulator's table with more columns than it must have."""
+    with open(name, "w") as handle:
+        handle.write("\n".join([",".join([HEADER, *more]), *rows]))
+
+
+def value_of(file):
+    mdp = oee.FiniteMDP.load(file)
+    return float(oee.policy_value(mdp, oee.uniform_policy(mdp)))
+
+
+EXPORT = "export g.csv --initial a --discount .9 --output g.npz --overwrite"
+
+
+@pytest.mark.parametrize("flags", [("True", "False"), ("1", "0"), ("1.0", "0.0")])
+@pytest.mark.parametrize(
+    ("label", "option"),
+    [
+        ("terminated", ""),
+        ("is_terminal", ""),
+        ("terminals", ""),
+        ("Terminal", ""),
+        ("done", "--column terminated=done"),
+        ("goal reached", "--column 'terminated=goal reached'"),
+    ],
+)
+def test_a_transition_that_ends_the_task_is_worth_its_reward(
+    run, folder, flags, label, option
+):
+    yes, no = flags
+    write_table("g.csv", [f"a,x,b,1,1,{yes}", f"b,x,a,1,5,{no}"], label)
+    run(f"{EXPORT} {option}")
+    assert_allclose(value_of("g.npz"), 1.0)
+    # a state that is entered in both ways goes on where it is entered alive
+    rows = [f"a,x,b,.5,1,{yes}", f"a,x,b,.5,3,{no}", f"b,x,a,1,5,{no}"]
+    write_table("g.csv", rows, label)
+    told = run(f"{EXPORT} {option}")
+    assert "a transition that ends the task in b leads to b (over)" in told
+    assert_allclose(value_of("g.npz"), (2 + 0.45 * 5) / (1 - 0.405))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("CliffWalking-v1", {}),
+        ("FrozenLake-v1", {}),
+        ("FrozenLake-v1", {"is_slippery": False}),
+        ("Taxi-v4", {}),
+    ],
+)
+def test_the_table_of_an_environment_is_the_model_of_it(folder, name, options):
+    env = pytest.importorskip("gymnasium").make(name, **options)
+    compare_with_environment(env)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_flags_that_differ_are_read_as_an_environment_s_are(folder, seed):
+    """Some states are entered both alive and by termination, some by one alone."""
+    rng = np.random.default_rng(seed)
+    table = {}
+    for s in range(5):
+        table[s] = {}
+        for a in range(2):
+            weights = rng.dirichlet(np.ones(3)).round(3)
+            weights[2] = 1.0 - weights[:2].sum()
+            to = rng.permutation(5)[:3].tolist()
+            flags = rng.random(3) < 0.3
+            rewards = rng.normal(size=3)
+            table[s][a] = list(zip(weights, to, rewards, flags, strict=True))
+    start = np.eye(5)[rng.integers(5)]
+    compare_with_environment(SimpleNamespace(P=table, initial_state_distrib=start))
+
+
+def compare_with_environment(env):
+    """Compare the model of an environment with that of its table as a file."""
+    rows = [
+        (s, a, following, probability, reward, terminated)
+        for s, actions in getattr(env, "unwrapped", env).P.items()
+        for a, listed in actions.items()
+        for probability, following, reward, terminated in listed
+    ]
+    pd.DataFrame(rows, columns=[*COLUMNS, "terminated"]).to_csv("g.csv", index=False)
+    same = oee.FiniteMDP.from_gymnasium(env, discount=0.9)
+    start = int(np.argmax(same.initial))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", oee.exceptions.DataWarning)
+        made = read_simulator("g.csv", {}, str(start), 0.9)
+    np.testing.assert_array_equal(made.terminal_state, same.terminal_state)
+    assert_allclose(made.transitions.toarray(), same.transitions.toarray())
+    same = same.with_initial(np.eye(same.n_states)[start])
+    policy = oee.uniform_policy(made)
+    assert_allclose(oee.policy_value(made, policy), oee.policy_value(same, policy))
+
+
+def test_where_no_row_leaves_a_state_it_does_not_matter_how_it_is_entered(run, folder):
+    rows = ["a,x,end,.5,1,1", "a,x,b,.25,0,0", "a,x,b,.25,0,0", "b,x,end,1,2,0"]
+    write_table("g.csv", [*rows, "b,x,a,0,9,1"], "terminated")
+    told = run(EXPORT)
+    assert "end is terminal" in told
+    assert "(over)" not in told
+    assert_allclose(value_of("g.npz"), 0.5 + 0.45 * 2)
+
+
+@pytest.mark.parametrize(
+    ("more", "row", "said"),
+    [
+        (
+            ["truncated"],
+            "True",
+            "row 1 (line 3): truncated must be false in a table of probabilities, as a"
+            " model has no limit of time; it is True (leave the column out: --column"
+            " truncated=)",
+        ),
+        (["timeout"], "1", "row 1 (line 3): truncated must be false"),
+        (["terminated"], "perhaps", "row 1 (line 3): terminated must be a boolean"),
+        (["terminated"], "2", "row 1 (line 3): terminated must be a boolean"),
+        (["terminal"], "", "row 1 (line 3): terminated must have a value"),
+        (["done"], "1", "'done' may say that the task ended (terminated)"),
+        (["dones"], "1", "'dones' may say that the task ended (terminated)"),
+        (["mask"], "1", "'mask' may be the opposite of terminated"),
+        (["terminatd"], "1", "'terminatd' resembles terminated"),
+        (["terminal", "is_terminal"], "1,1", "'terminal' and 'is_terminal' may each"),
+    ],
+)
+def test_flags_that_a_table_of_probabilities_cannot_have(run, folder, more, row, said):
+    zeros = ",".join("0" for _ in more)
+    write_table("g.csv", [f"a,x,b,1,1,{zeros}", f"b,x,a,1,5,{row}"], *more)
+    assert said in run(EXPORT, code=2)
+    if len(more) == 1:
+        fields = ("terminated", "truncated")
+        words = " ".join(f"--column {field}=" for field in fields)
+        run(f"{EXPORT} {words}")
+        assert_allclose(value_of("g.npz"), (1 + 0.9 * 5) / (1 - 0.81))
+
+
+def test_a_table_that_is_never_truncated_may_say_so(run, folder):
+    rows = ["a,x,b,1,1,1,0", "b,x,a,1,5,0,0"]
+    write_table("g.csv", rows, "terminated", "TimeLimit.truncated")
+    run(EXPORT)
+    assert_allclose(value_of("g.npz"), 1.0)
+    told = run(f"{EXPORT} --column terminated=trminated", code=2)
+    assert "none is trminated (did you mean 'terminated'?)" in told
+
+
+def test_notes_of_a_table_of_probabilities_do_not_call_it_a_log(folder):
+    write_table("g.csv", ["a,x,b,1,1,1,3", "b,x,a,1,5,0,4"], "is_terminal", "weight_kg")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        read_simulator("g.csv", {}, "a", 0.9)
+    assert [str(each.message) for each in told] == [
+        "'g.csv' has other labels than a table of probabilities: it reads 'is_terminal'"
+        " as terminated (--column names other columns)",
+        "columns of 'g.csv' that a table of probabilities does not use are left out:"
+        " weight_kg",
+    ]
+
+
+def test_rows_of_one_transition_are_added_where_their_sum_is_right(folder):
+    write_table("g.csv", ["a,x,b,.5,1", "a,x,b,.25,4", "a,x,a,.25,0", "b,x,a,1,0"])
+    with pytest.warns(oee.exceptions.DataWarning, match=r"row 0 \(line 2\) has the st"):
+        made = read_simulator("g.csv", {}, "a", 0.9)
+    assert_allclose(made.transitions.toarray(), [[0.25, 0.75], [1, 0]])
+    assert_allclose(made.rewards[0, 0], 1.5)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (["0,0,-1,1,1"], "row 0 (line 2): next_state must be at least 0; it is -1"),
+        (["-1,0,0,1,1", "0,0,0,1,0"], "row 0 (line 2): state must be at least 0"),
+        (["0,0,0,1,0", "0,-2,0,1,1"], "row 1 (line 3): action must be at least 0"),
+        (["0.5,0,1,1,1"], "row 0 (line 2): state must be an integer; it is 0.5"),
+        (["0,0,0,1,1", "1,1.5,0,1,1"], "row 1 (line 3): action must be an integer; it"),
+        (["0,0,1_0,1,1"], "row 0 (line 2): next_state must be an integer; it is 1_0"),
+        ([f"0,0,{10**20 - 1},1,1"], "next_state must be below 2**63; it is 9999999999"),
+        (["0,0,inf,1,1"], "row 0 (line 2): next_state must be an integer; it is inf"),
+        (["0,0,1e300,1,1"], "row 0 (line 2): next_state must be below 2**63"),
+        (
+            ["0,0,999999999999,1,1"],
+            "(line 2): next_state must be small enough for this",
+        ),
+        (["999999999999,0,0,1,1"], "row 0 (line 2): state must be small enough"),
+        (["0,999999999999,0,1,1"], "row 0 (line 2): action must be small enough"),
+        (
+            ["0,0,hall,1,1"],
+            "row 0 (line 2): next_state must be a number, as those of s",
+        ),
+        (["hall,0,0,1,1"], "row 0 (line 2): state must be a number, as those of next"),
+        (["a,0,7,1,1", "b,0,a,1,1"], "row 1 (line 3): next_state must be an integer"),
+        (["a,0,b,1,1", "b,0,,1,1"], "row 1 (line 3): next_state must have a value"),
+        (["0,0,1,True,1"], "row 0 (line 2): probability must be a finite number"),
+        (["0,0,1,,1"], "row 0 (line 2): probability must have a value; it has none"),
+        (["0,0,1,1,"], "row 0 (line 2): reward must have a value; it has none"),
+        (["0,0,0,1,1", "0,0,0,0,2"], "row 1 (line 3) must be the only one"),
+        ([], "must have at least one row; it has none"),
+    ],
+)
+@pytest.mark.parametrize("command", ["export g.csv --initial 0 --output g.npz", "info"])
+def test_odd_numbers_of_a_table_are_named_with_their_row(
+    run, folder, rows, said, command
+):
+    write_table("g.csv", rows)
+    told = run(command if command != "info" else "info g.csv", code=2)
+    assert told.startswith("oee: 'g.csv'")
+    assert said in told
+
+
+@pytest.mark.parametrize(
+    ("rows", "start", "names"),
+    [
+        (["0.0,0.0,1.0,1,1", "1.0,0.0,0.0,1,2"], "0", None),
+        (["0,0,1e0,1,1", "1,0,0.0,1,2"], "0", None),
+        (["True,x,False,1,1", "False,x,True,1,2"], "True", ("True", "False")),
+        (["true,x,false,1,1", "false,x,true,1,2"], "true", ("true", "false")),
+        (["0,True,1,1,1", "1,True,0,1,2"], "0", None),
+        (["none,x,NA,1,1", "NA,x,none,1,2"], "none", ("none", "NA")),
+    ],
+)
+def test_states_are_read_as_a_log_reads_them(folder, rows, start, names):
+    write_table("g.csv", rows)
+    made = read_simulator("g.csv", {}, start, 0.9)
+    assert made.state_names == names
+    assert_allclose(oee.policy_value(made, oee.uniform_policy(made)), 2.8 / 0.19)
+
+
 @pytest.mark.parametrize("end", ["csv", "csv.gz", "parquet"])
 @pytest.mark.parametrize("n_lacking", [1, 2])
 def test_samples_with_a_missing_reward_are_no_simulator(run, folder, end, n_lacking):
@@ -651,3 +880,54 @@ def test_samples_with_a_missing_reward_are_no_simulator(run, folder, end, n_lack
     row = "row 3" if end == "parquet" else "row 3 (line 5)"
     assert f"'s.{end}': {row}: reward must have a value in each row" in told
     assert ("(2 such rows in all)" in told) == (n_lacking == 2)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["a,x,b,.9,1", "b,x,a,1,1"],
+        ["a,x,b,1,1", "a,x,b,1,1", "b,x,a,1,1"],
+        ["a,x,b,,1", "b,x,a,1,1"],
+        ["a,x,b,100,1", "b,x,a,100,1"],
+        ["a,x,b,1/2,1", "a,x,a,1/2,1", "b,x,a,1,1"],
+        [",x,b,1,1", "b,x,a,1,1"],
+        ["a,x,b,1,1", "b,y,a,1,1"],
+        ["a,x,b ,1,1", "b,x,a,1,1"],
+        ["a,x,b,1,soon", "b,x,a,1,1"],
+        ["a,x,b,-1,1", "a,x,a,2,1", "b,x,a,1,1"],
+    ],
+)
+def test_info_says_of_a_broken_table_what_export_says(run, folder, rows):
+    write_table("g.csv", rows)
+    told = run(EXPORT, code=2).rstrip()
+    way = "; if the file is a log, and 'probability' the probability of the action that"
+    info = run("info g.csv", code=2)
+    assert info.startswith(f"{told}{way} was taken: --column behavior_probability=p")
+    # where its label is given, it is no log's
+    own = HEADER.replace("probability", "chance")
+    (folder / "g.csv").write_text("\n".join([own, *rows]))
+    assert run("info g.csv --column probability=chance", code=2).rstrip() == told
+
+
+def test_info_on_a_table_in_another_file(run, folder):
+    frame = table_of(oee.FiniteMDP.load("sim.npz"))
+    frame.to_parquet("t.parquet", index=False)
+    told = run("info t.parquet", code=2)
+    assert "'t.parquet' must be a .csv file, to have probabilities; if" in told
+    words = "info t.parquet --column behavior_probability=probability"
+    assert run(words).startswith("Transitions(")
+
+
+@pytest.mark.parametrize("label", ["terminated", "is_terminal"])
+def test_info_knows_a_table_that_says_where_the_task_ends(run, folder, label):
+    write_table("g.csv", ["a,x,b,1,1,1", "b,x,a,1,5,0"], label)
+    assert "table of a simulator: 2 transitions of 2 states" in run("info g.csv")
+    write_table("g.csv", ["a,x,b,1,1,1", "b,x,a,1,5,0"], "done")
+    told = run("info g.csv --column terminated=done")
+    assert told.rstrip().endswith("--output simulator.npz --column terminated=done")
+
+
+def test_probabilities_of_a_log_s_actions_are_those_of_a_log(run, folder):
+    header = HEADER.replace("probability", "action_prob")
+    (folder / "log.csv").write_text(f"{header}\n0,0,1,0.5,1\n1,0,0,0.25,1\n")
+    assert "behaviour probabilities" in run("info log.csv")
