@@ -345,7 +345,11 @@ def _find_probabilities(path: str, columns: Mapping[str, Any]) -> str | None:
     if not set(own) <= set(labels) or len(set(own)) < len(own):
         return None
     others = {find_field(each, has_vectors=False) for each in labels if each not in own}
-    if others - {None, "reward", *ENDS}:  # columns that a log alone has
+    of_table = {None, "reward"}
+    if PROBABILITY in columns or find_field(own[3], has_vectors=False) is None:
+        of_table.update(ENDS)
+    # beside probabilities of a log's actions, ends of tasks are those of a log too
+    if others - of_table:
         return None
     return str(own[3])
 

@@ -35,15 +35,12 @@ class TransitionTable(NamedTuple):
         The names by number; None where the table has numbers itself.
     shape : tuple of int
         The numbers of states and of actions.
-    probability : str
-        The label of the probabilities.
     """
 
     outcomes: Outcomes
     states: tuple[Name, ...] | None
     actions: tuple[Name, ...] | None
     shape: tuple[int, int]
-    probability: str
 
     def to_arguments(self, initial: Any) -> dict[str, Any]:
         """Return the arguments of ``FiniteMDP``, but the discount.
@@ -113,7 +110,7 @@ def read_transition_table(
     # nothing follows a state that no row leaves, and an impossible transition ends none
     terminated = ends & is_left[following] & (probability > 0.0)
     outcomes = Outcomes(state, action, following, probability, reward, terminated)
-    table = TransitionTable(outcomes, states, actions, shape, labels[PROBABILITY])
+    table = TransitionTable(outcomes, states, actions, shape)
     # a misspelt action leaves a sum that is wrong as well
     _require_every_action(path, table)
     _require_sums(path, table)

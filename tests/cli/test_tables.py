@@ -931,3 +931,8 @@ def test_probabilities_of_a_log_s_actions_are_those_of_a_log(run, folder):
     header = HEADER.replace("probability", "action_prob")
     (folder / "log.csv").write_text(f"{header}\n0,0,1,0.5,1\n1,0,0,0.25,1\n")
     assert "behaviour probabilities" in run("info log.csv")
+    text = f"{header},terminated\n0,0,1,1,1,0\n1,0,0,1,1,1\n"
+    (folder / "log.csv").write_text(text)
+    assert "behaviour probabilities" in run("info log.csv")
+    words = "info log.csv --column probability=action_prob"
+    assert "table of a simulator: 2 transitions" in run(words)
