@@ -387,7 +387,6 @@ class Finder"""
     told = end_by_ctrl_c(script, module, *command)
     assert "Exception ignored in" in told
     assert told.count("oee: interrupted") == 1
-    assert "cells are finished and kept; the same command" in told
 
 
 def test_what_ctrl_c_cut_in_two_is_not_taken_down(tmp_path):
