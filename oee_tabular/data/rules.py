@@ -420,10 +420,11 @@ def check_table(
 
 # how like a label a misspelt one is, by difflib: next_stat is, as 0.95
 NEAR = 0.85
+# of logs, policies, trials and simulators' tables alike
 HEADER_RULE = (
-    "must hold the values of a transition; it holds the labels of the columns again"
-    " (of files that were joined by hand: leave that line out, or give the files as a"
-    " list)"
+    "must hold the values of its columns; it holds the labels of the columns again"
+    " (leave that line out; to read several files of a log, which need not be joined by"
+    " hand, give the files as a list)"
 )
 
 
@@ -478,11 +479,15 @@ def _find_other_labels(columns: Mapping[str, Column]) -> IntArray:
 
 
 def _find_own_labels(columns: Mapping[str, Column], labels: Sequence[str]) -> IntArray:
-    """Return the rows of raw columns that hold labels of the columns."""
+    """Return the rows of raw columns that hold labels of the columns.
+
+    A label that is a number is left aside: the same number below it is a value.
+    """
     none = np.zeros(0, dtype=np.int64)
     if not columns or not all(column.dtype.hasobject for column in columns.values()):
         return none
-    words = set(map(plain, labels))
+    words = {plain(label) for label in labels}
+    words = {word for word in words if not is_number_text(word)}
 
     def is_label(item: Any) -> bool:
         """Return whether a value is a label."""

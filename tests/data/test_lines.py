@@ -89,6 +89,14 @@ def test_quotes_of_a_table_of_a_policy(tmp_path):
 # ---- headers
 
 
+@pytest.mark.parametrize("n", [2, MANY])
+def test_rows_that_are_the_labels_of_other_columns_are_no_header(tmp_path, n):
+    head = "state,action,next_state,0,1\n"
+    path = write(tmp_path, head + "0,1,0,7,7\n1,0,1,7,7\n" * n)
+    with pytest.warns(UserWarning, match="left out: 0, 1"):
+        assert len(Transitions.load(path)) == 2 * n
+
+
 @pytest.mark.parametrize(
     "again",
     [
