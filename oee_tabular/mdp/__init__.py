@@ -35,6 +35,7 @@ are alike.
 - ``support``: action noise, P_eps = (1 - eps) P + eps mean_b P(. | s, b); support for
   the transitions of a log
 - ``policies``: pi in each form that people have it, as (S, A)
+- ``policy_frames``: the calls that make such a form of a DataFrame
 - ``naming``: names of states and actions, and their numbers
 - ``gymnasium_table``: outcomes of actions as the arrays of an MDP; the P of a toy-text
   environment
@@ -95,6 +96,7 @@ from oee_tabular.mdp.policies import read_policy_array as read_policy_array
 from oee_tabular.mdp.policies import require_available as require_available
 from oee_tabular.mdp.policies import shape_of as shape_of
 from oee_tabular.mdp.policies import split_policies as split_policies
+from oee_tabular.mdp.policy_frames import number_actions as number_actions
 from oee_tabular.mdp.rows import BLOCK as BLOCK
 from oee_tabular.mdp.rows import DIGITS as DIGITS
 from oee_tabular.mdp.rows import Rows as Rows

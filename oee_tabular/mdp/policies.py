@@ -24,6 +24,7 @@ from oee_tabular.mdp.naming import (
     numbers_of,
     to_plain,
 )
+from oee_tabular.mdp.policy_frames import suggest_conversions
 from oee_tabular.typing import (
     Array,
     BoolArray,
@@ -428,13 +429,9 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     if hasattr(policy, "to_dict") and not hasattr(policy, "dims"):
         ways = "in the order of the states: policy.to_numpy()"
         if hasattr(policy, "iloc"):  # of pandas, which has labels
-            is_series = getattr(policy, "ndim", 2) == 1
-            ways = (
-                'of a row for each state, an action a column: policy.to_dict("index")'
+            ways = suggest_conversions(
+                policy, names_of(mdp), mdp.n_states, mdp.n_actions
             )
-            if is_series:
-                ways = "by its labels: policy.to_dict()"
-            ways += "; in the order of the states: policy.to_numpy()"
         raise ArgumentError(
             name,
             f"must be an array or a mapping by state; got {type(policy).__name__}"

@@ -434,3 +434,73 @@ def test_the_remedies_for_tables_work():
         for remedy in remedies:
             made = eval(remedy, {"policy": policy})
             assert oee.policy_value(mdp, made) == oee.policy_value(mdp, [0, 1])
+
+
+def frames_of_policies():
+    """Yield simulators with frames, each of which holds the policy of ``EXPECTED``."""
+    plain = oee.FiniteMDP(np.full((2, 2, 2), 0.5), np.eye(2), 0, 0.9)
+    named = plain.with_names(["dock", "hall"], ["go", "wait"])
+    table = pd.DataFrame([[0.25, 0.75], [1.0, 0.0]])
+    texts = table.set_axis(["0", "1"], axis=1)
+    yield plain, table
+    yield plain, texts
+    yield plain, texts[["1", "0"]]
+    yield plain, texts.set_axis(["0", "1"])
+    yield plain, texts.iloc[::-1].set_axis(["1", "0"])
+    yield plain, texts.assign(state=["0", "1"])
+    yield plain, texts.iloc[::-1].assign(state=[1, 0])
+    yield plain, texts.astype(str)
+    yield plain, table.set_axis(["action_0", "action_1"], axis=1)
+    yield plain, table[[1, 0]].set_axis(["a2", "a1"], axis=1)
+    yield plain, table.set_axis(["x", "y"], axis=1)
+    yield named, table.set_axis(["go", "wait"], axis=1)
+    yield named, table.set_axis(["go", "wait"], axis=1)[["wait", "go"]]
+    yield named, table.set_axis(["go", "wait"], axis=1).assign(state=["dock", "hall"])
+    yield named, texts.set_axis(["dock", "hall"])
+    rows = [(s, a, table[a][s]) for s in range(2) for a in range(2)]
+    long = pd.DataFrame(rows, columns=["state", "action", "probability"])
+    yield plain, long
+    yield plain, long.iloc[[2, 0, 1]]
+    yield plain, long.astype(str)
+    yield plain, long.set_index(["state", "action"])["probability"]
+
+
+FRAMES = list(frames_of_policies())
+CHOICES = [
+    pd.Series([1, 0]),
+    pd.Series([1.0, 0.0]),
+    pd.Series(["1", "0"]),
+    pd.Series([1, 0], index=["0", "1"]),
+    pd.Series(["0", "1"], index=["1", "0"]),
+    pd.DataFrame({"state": [1, 0], "action": [0, 1]}),
+    pd.DataFrame({"state": ["1", "0"], "action": ["0", "1"]}),
+    pd.DataFrame({"0": [False, True], "1": [True, False]}),
+    pd.get_dummies(pd.Series([1, 0])),
+    pd.get_dummies(pd.Series(["1", "0"])).assign(state=[0, 1]),
+]
+
+
+def remedies_for(simulator, policy):
+    """Return what the calls of the refusal make of a policy."""
+    with pytest.raises(ValueError, match="must be an array or a mapping") as refused:
+        check_policy(policy, simulator)
+    text = str(refused.value)
+    advice = text[text.index(" (") + 2 : -1]
+    calls = [part.partition(": policy")[2] for part in advice.split("; ")]
+    assert calls
+    return [eval(f"policy{call}", {"policy": policy}) for call in calls]
+
+
+@pytest.mark.parametrize("k", range(len(FRAMES)))
+def test_the_remedies_for_labels_work(k):
+    simulator, policy = FRAMES[k]
+    for made in remedies_for(simulator, policy):
+        found = check_policy(made, simulator)
+        assert found.tolist() == [[0.25, 0.75], [1.0, 0.0]]
+
+
+@pytest.mark.parametrize("policy", CHOICES)
+def test_the_remedies_for_choices_work(policy):
+    simulator = FRAMES[0][0]
+    for made in remedies_for(simulator, policy):
+        assert check_policy(made, simulator).tolist() == [[0, 1], [1, 0]]
