@@ -75,11 +75,11 @@ def test_a_column_for_each_action(tmp_path, index):
         ),
         (
             long().assign(probability=[f"{p:.1%}" for p in POLICY.ravel()]),
-            r"numbers as probabilities; .* \(write 0\.1 for 10%\)",
+            r"row 0 \(line 2\): column 'probability' .* \(write 0\.395 for 39\.5%\)",
         ),
         (
             long().assign(probability="0,25"),
-            r"numbers as probabilities; .* \(write a decimal point, not a comma\)",
+            r"a number from 0 to 1 .* \(write a decimal point, not a comma\)",
         ),
     ],
 )
@@ -200,3 +200,185 @@ def test_odd_names_of_a_written_policy_are_read_again(run, tmp_path, names):
     run("policy sim.npz mix:0.7 --output pi.npy")
     run("policy sim.npz pi.csv --output again.npy")
     np.testing.assert_array_equal(np.load("again.npy"), np.load("pi.npy"))
+
+
+# ---- what info and the commands that use a policy say of the same table
+
+PLAIN = oee.FiniteMDP(
+    np.full((2, 2, 2), 0.5), np.ones((2, 2)), initial=[1, 0], discount=0.5
+)
+NAMED = PLAIN.with_names(["dock", "hall"], ["go", "wait"])
+
+
+@pytest.fixture
+def say(run, tmp_path):
+    """Return what the reader of policies and what info say of a table."""
+
+    def say(text, simulator=PLAIN, code=None):
+        (tmp_path / "p.csv").write_text(text)
+        try:
+            found = oee.mdp.check_policy(
+                read_policy_table("p.csv", simulator), simulator
+            ).tolist()
+        except ValueError as error:
+            found = str(error)
+        if code is None:
+            code = 2 if isinstance(found, str) else 0
+        return found, run("info p.csv", code=code)
+
+    return say
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "state,0,1\n0,True,False\n1,False,True\n",
+        "state,0,1\n0,TRUE,\n1,,true\n",
+        "state,0,1\n0,1,0\n1,False,True\n",
+        "state,0,1\n0,yes,f\n1,no,t\n",
+        "state,action,probability\n0,0,True\n1,1,True\n",
+        "state,action,probability\n0,0,1\n0,1,FALSE\n1,0,0\n1,1,TRUE\n",
+    ],
+)
+def test_truth_values_are_one_and_zero(say, text):
+    found, told = say(text)
+    assert found == [[1.0, 0.0], [0.0, 1.0]]
+    assert told.startswith("policy: 2 ") or told.startswith("policy: 4 rows")
+
+
+def test_a_one_hot_table_of_pandas_is_read(tmp_path):
+    actions = np.arange(9) % 4
+    frame = pd.get_dummies(pd.Series([ACTIONS[a] for a in actions]))
+    found = read(tmp_path, frame.assign(state=STATES))
+    assert_allclose(found, np.eye(4)[actions])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("80%", "it is '80%' (write 0.8 for 80%)"),
+        ("12.5 %", "it is '12.5 %' (write 0.125 for 12.5 %)"),
+        ("1/2", "it is '1/2' (write 0.5 for 1/2)"),
+        ("x", "it is 'x'"),
+        ("True", "it is 'True'"),
+        ("1_0", "it is 1_0"),
+        ("1.5", "it is 1.5"),
+        ("-0.5", "it is -0.5"),
+        ("nan", "must have a value; it has none"),
+        ("inf", "it is inf"),
+    ],
+)
+def test_what_is_no_probability_is_named_by_its_place(say, text, words):
+    for place, table in (
+        ("column '1'", f"state,0,1\n0,0.5,0.5\n\n1,0.5,{text}\n"),
+        (
+            "column 'probability'",
+            f"state,action,probability\n0,0,0.5\n\n0,1,{text}\n1,0,1\n",
+        ),
+    ):
+        found, told = say(table)
+        assert f"'p.csv': row 1 (line 4): {place} must " in found
+        assert words in found
+        assert told == f"oee: {found}\n"
+
+
+@pytest.mark.parametrize("text", ["80%", "4/5", "0,8"])
+def test_shares_below_names_of_actions_are_named_by_their_place(say, text):
+    found, told = say(f'state,go,wait\ndock,1,0\nhall,"{text}",.2\n', NAMED)
+    assert "row 1 (line 3): column 'go' must be a number from 0 to 1" in found
+    assert told == f"oee: {found}\n"
+
+
+@pytest.mark.parametrize(
+    ("simulator", "text"),
+    [
+        (NAMED, "state,action,go,wait\ndock,go,.2,.8\nhall,wait,1,0\n"),
+        (NAMED, "state,action,go\ndock,go,1\nhall,wait,0\n"),
+        (NAMED, "state,action,wait,go\ndock,go,False,True\nhall,wait,True,False\n"),
+        (PLAIN, "0,1,state,action\n.2,.8,0,0\n1,0,1,1\n"),
+        (NAMED, "s,a,go,wait\ndock,go,.2,.8\nhall,wait,1,0\n"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*has other labels than a policy")
+def test_actions_stand_in_one_column_or_in_the_labels(say, simulator, text):
+    found, told = say(text, simulator)
+    assert "either a column action, or a column for each action" in found
+    assert "did you mean" not in found
+    assert told.endswith(f"oee: {found}\n")
+
+
+@pytest.mark.filterwarnings("ignore:.*that a policy does not use")
+def test_values_of_actions_may_stand_beside_the_actions(say):
+    text = "state,action,go,wait\ndock,go,-3.5,1\nhall,wait,2,7\n"
+    found, told = say(text, NAMED)
+    assert found == [[1.0, 0.0], [0.0, 1.0]]
+    assert "one action for each state" in told
+
+
+@pytest.mark.parametrize(
+    "text", ["0,1\n0,1\n1,0\n", "1,0\n1,0\n", "0\n0\n1\n", ",0,1\n0,0,1\n1,1,0\n"]
+)
+def test_a_table_without_states_lacks_their_column(say, text):
+    found, told = say(text)
+    assert "the column of the states is missing" in found
+    assert "labels of the columns again" not in found
+    assert "must have the columns state" in told
+
+
+def test_a_header_that_stands_again_is_told_in_words_that_fit(say):
+    found, told = say("state,action\n0,1\nstate,action\n")
+    assert "row 1 (line 3) must hold the values of its columns; it holds the l" in found
+    assert "transition" not in found
+    assert told == f"oee: {found}\n"
+
+
+@pytest.mark.parametrize(
+    "labels",
+    ["action_0,action_1", "a0,a1", "Action 1,Action 2", "pi[0],pi[1]", "a_1,a_2"],
+)
+@pytest.mark.parametrize("simulator", [PLAIN, NAMED])
+def test_numbered_columns_are_to_be_called_by_the_number(say, labels, simulator):
+    text = f"state,{labels}\n0,0,1\n1,1,0\n"
+    found, told = say(text, simulator, code=0)
+    first, second = labels.split(",")
+    advice = f"call the columns by the actions' numbers: '{first}' 0, '{second}' 1"
+    assert advice in found
+    assert advice in told
+    assert say(text.replace(labels, "0,1"))[0] == [[0.0, 1.0], [1.0, 0.0]]
+
+
+def test_numbered_columns_that_are_names_are_read(say):
+    simulator = PLAIN.with_names(["dock", "hall"], ["action_0", "action_1"])
+    found, told = say("state,action_0,action_1\ndock,0,1\nhall,1,0\n", simulator)
+    assert found == [[0.0, 1.0], [1.0, 0.0]]
+    assert "where the simulator's actions have no such names" in told
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        pd.DataFrame({"pose": STATES[:5], "cmd": ACTIONS[0]}),
+        pd.DataFrame({"state": STATES[:5], "action": ACTIONS[0]}),
+        pd.DataFrame({"pose": STATES[:5], "cmd": ACTIONS[0], "prob": 1}),
+        wide("pose").iloc[:5],
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*has other labels than a policy")
+@pytest.mark.parametrize("n_good", [0, 1, 4])
+def test_states_that_are_misspelt_are_named(tmp_path, frame, n_good):
+    label = "state" if "state" in frame else "pose"
+    wrong = ["bayy", "gaet", "rood", "shopp", "yardd"]
+    frame = frame.assign(**{label: STATES[:n_good] + wrong[n_good:]})
+    first = f"'{wrong[n_good]}' (did you mean '{STATES[n_good]}'?)"
+    place = f"row {n_good} (line {n_good + 2}): column '{label}' must be one of the"
+    with pytest.raises(ValueError, match=re.escape(place)) as refused:
+        read(tmp_path, frame)
+    assert f"simulator's names; it is {first}" in str(refused.value)
+    for name, meant in list(zip(wrong, STATES, strict=False))[n_good + 1 : n_good + 3]:
+        assert f"{name!r} (did you mean {meant!r}?)" in str(refused.value)
+
+
+def test_actions_that_are_misspelt_are_named(tmp_path):
+    frame = pd.DataFrame({"state": STATES[:4], "cmd": ["upp", "rihgt", "dwn", "left"]})
+    with pytest.raises(ValueError, match=r"column 'cmd' must be one of .* 'upp' \(did"):
+        read(tmp_path, frame)

@@ -172,10 +172,16 @@ def test_policies_from_files(run, folder):
         ),
         ("place,action\nhere,n", "it has place, action and 1 rows"),
         ("state,action\n", "and 0 rows"),
-        ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
+        (
+            "state,action\nr0c0,north",
+            "must be one of the simulator's names; it is 'north'",
+        ),
         (
             "state,action\nr0c9,n",
-            "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c",
+            (
+                "row 0 (line 2): column 'state' must be one of the simulator's names; it"
+                " is 'r0c9' (did you mean 'r0c"
+            ),
         ),
         (
             "state,action\nr0c0,n\nr0c0,e",
@@ -195,7 +201,7 @@ def test_policies_from_files(run, folder):
         ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
         (
             "state,action,probability\nr0c0,n,much",
-            "must have numbers as probabilities; could not convert string",
+            "row 0 (line 2): column 'probability' must be a number from 0 to 1",
         ),
         (
             "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",

@@ -75,7 +75,7 @@ def test_a_policy_with_own_labels_names_what_is_misspelt(
     table.columns = ["wo", *(["n"] if is_wide else ["was", "p"])]
     table.to_csv("pi.csv", index=False)
     told = run("evaluate --simulator sim.npz --log log.csv --policy pi.csv", code=2)
-    assert f"must be one of the MDP's names; it is '{value}'" in told
+    assert f"must be one of the simulator's names; it is '{value}'" in told
 
 
 def table_of(mdp, *, has_names=True):
