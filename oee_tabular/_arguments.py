@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _files
 from oee_tabular._own_modules import import_own, import_own_environment
 from oee_tabular._own_modules import own_modules as own_modules
 from oee_tabular.exceptions import ArgumentError
@@ -45,6 +45,7 @@ def named_specs(
     """Read name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
 
     A file whose name has an equals sign is a SPEC, unless it is not clear which is meant.
+    Bytes of a name that are no UTF-8 are escaped in the name, and stay in the SPEC.
 
     Parameters
     ----------
@@ -85,6 +86,8 @@ def named_specs(
             raise ArgumentError(
                 option, f"must have a name before its '='; got {text!r}"
             )
+        # a file's name need not be text, which tables and pages are
+        name = _files.text_bytes(name).decode()
         if name in specs:
             raise ValueError(f"{option} names must differ; {name!r} is given twice")
         specs[name] = spec if equals else text

@@ -3,6 +3,9 @@ command does not use.
 """
 
 import json
+import os
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,3 +179,38 @@ def test_errors_name_the_option(run, folder, words, text):
 def test_values_that_are_not_used_are_refused(run, folder, words, text):
     assert text in run(words, code=2)
     assert not {"s.npz", "x.npz"} & {path.name for path in folder.iterdir()}
+
+
+@pytest.fixture
+def foreign(policies):
+    """The name of a policy's file that is no UTF-8; some systems have no such names."""
+    name = os.fsdecode(b"q\xff.npy")
+    try:
+        (policies / name).write_bytes((policies / "a.npy").read_bytes())
+    except OSError:
+        pytest.skip("file names are text here")
+    return name
+
+
+@pytest.mark.parametrize("option", ["{}", "p\udcff=a.npy", "half=./{}"])
+def test_names_of_policies_that_are_no_text_are_escaped(run, foreign, option):
+    words = f"--policy {option.format(foreign)}"
+    asked = "evaluate --simulator sim.npz --log log.csv --quick --estimators oee"
+    run(asked, words, "--output out --report page.html")
+    label = "half" if option.startswith("half") else f"{option[0]}\\udcff"
+    label = label.replace("{", "q")
+    for file in ("out/table.csv", "page.html"):
+        assert label in Path(file).read_text()
+    table = json.loads(Path("out/report.json").read_text())
+    assert label in table["results"][0]["policy"]
+
+
+def test_commands_take_policies_whose_names_are_no_text(run, foreign):
+    data = "--simulator sim.npz --log log.csv"
+    run("compare", data, f"--quick --json --policy {foreign} --policy b.npy")
+    run("plan", data, f"--policy {foreign} --minus {foreign} --transitions 9 --json")
+    words = f"--running b.npy --candidate {foreign} --report page.html"
+    with suppress(AssertionError):  # 3, where nothing is to be deployed
+        run("improve", data, words)
+    assert "q\\udcff.npy" in Path("page.html").read_text()
+    run("policy sim.npz", foreign, "--output c.npy")
