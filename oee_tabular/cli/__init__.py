@@ -6,9 +6,7 @@ What is slow to import (numba, cvxpy, pandas) is imported where it is used.
 from __future__ import annotations
 
 import atexit
-import contextlib
 import gc
-import os
 import sys
 import warnings
 from collections import Counter
@@ -22,7 +20,14 @@ from oee_tabular import _progress
 from oee_tabular._memory import require_room
 from oee_tabular.cli import files, improving, values
 from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
-from oee_tabular.cli.options import ARGUMENTS, GROUPS, print_remarks, remarks, say
+from oee_tabular.cli.options import (
+    ARGUMENTS,
+    GROUPS,
+    drop_rest,
+    print_remarks,
+    remarks,
+    say,
+)
 from oee_tabular.exceptions import ArgumentError
 
 
@@ -216,21 +221,16 @@ def main(arguments: list[str] | None = None) -> None:
             app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         say(f"oee: {_sentence(error)}", err=True)
-        _drop_output()
+        _flush_output()
         sys.exit(2)
 
 
-def _drop_output() -> None:
-    """Drop what standard output does not take, as a full disk.
-
-    Python writes what is left of it when it ends; if that fails, it makes 120 of the
-    exit code, and prints an error of its own.
-    """
+def _flush_output() -> None:
+    """Write what is left for standard output, or drop what it does not take."""
     try:
         sys.stdout.flush()
     except OSError:
-        with contextlib.suppress(OSError):  # of a stream that is no file
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_rest(sys.stdout)
 
 
 def _sentence(error: Exception) -> str:

@@ -11,7 +11,7 @@ import os
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
@@ -313,7 +313,8 @@ def say(text: str, *, err: bool = False) -> None:
     """Print lines, with control characters of file and column names escaped.
 
     Letters that the stream's encoding lacks become look-alikes. If the reader of
-    standard output is gone (``oee evaluate | head -1``), the command ends quietly.
+    standard output is gone (``oee evaluate | head -1``), the command ends quietly. What
+    standard error does not take is dropped, because the exit code says it as well.
     """
     # imports numpy, which the help does without
     from oee_tabular._checks import escape_controls
@@ -321,13 +322,22 @@ def say(text: str, *, err: bool = False) -> None:
     shown = escape_controls(text, keep="\n")
     try:
         print_text(shown, sys.stderr if err else sys.stdout)
-    except BrokenPipeError:
+    except OSError as error:
         if err:
             return
-        # what is left in its buffer would be an error at the end of the process
-        with suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise
+        drop_rest(sys.stdout)
         sys.exit(2)
+
+
+def drop_rest(stream: TextIO) -> None:
+    """Drop what is left in the buffer of a stream that takes no more, as a full disk.
+
+    Python writes it when it ends; if that fails, it makes 120 of the exit code.
+    """
+    with suppress(OSError):  # of a stream that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 remarks: list[str] = []  # lines that a command prints on stderr once it has succeeded

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -213,6 +214,29 @@ def test_ctrl_c_within_the_text_of_a_library_ends_with_a_code_too(tmp_path, text
     )
     assert done.returncode == (130 if "Keyboard" in text else 2)
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only Linux has it")
+@pytest.mark.parametrize("is_closed", [True, False])
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("info nowhere.npz", 2),
+        ("evaluate --seed 1.5", 2),
+        ("nothing", 2),
+        ("sample gridworld:3 --transitions 0 --output l.csv", 2),
+        ("export gridworld:3,slip=0.3 --output e.npz", 0),
+        ("sample interrupts:make --transitions 3 --output l.csv", 130),
+    ],
+)
+def test_the_code_is_the_same_where_errors_cannot_be_written(
+    tmp_path, line, expected, is_closed
+):
+    (tmp_path / "interrupts.py").write_text("raise KeyboardInterrupt")
+    words = [sys.executable, "-P", "-m", "oee_tabular", *line.split()]
+    shell = shlex.join(words) + (" 2>&-" if is_closed else " 2>/dev/full")
+    done = subprocess.run(["sh", "-c", shell], cwd=tmp_path, check=False)
+    assert done.returncode == expected
 
 
 def test_the_how_to_has_the_table():
