@@ -24,6 +24,9 @@ GROUPS = (INPUT, VALUE, OUTPUT)
 # what the functions that the commands call name otherwise
 ARGUMENTS = {
     "n": "transitions",
+    "n_transitions": "transitions",
+    "n_episodes": "episodes",
+    "max_steps": "horizon",
     "behavior_policy": "behavior",
     "columns": "column",
     "epsilon": "action_noise",

@@ -30,6 +30,9 @@ else:
 LOG_STREAM = np.uint64(0)  # of ``sample_episodes``
 RETURN_STREAM = np.uint64(1)  # of ``sample_returns``
 TRANSITION_STREAM = np.uint64(2)  # of ``sample_transitions``
+# of a log, of the path that it is made of and of numbers for each episode, which may
+# have a single step
+N_NUMBERS_PER_TRANSITION = 12.0
 # runs of fewer steps, which take some milliseconds, stay on the calling thread
 MIN_THREADED_STEPS = 1 << 20
 MAX_FIRST_PATH_STEPS = 1 << 24  # room for the first path; later ones have twice as much
@@ -344,6 +347,7 @@ def episodes_holding(
     Generator draws afresh at each try; with any other seed the episodes tried before
     stay.
     """
+    _checks.require_memory(N_NUMBERS_PER_TRANSITION * n, "n_transitions", n)
     count = max(1, -(-n // horizon))  # n / horizon, rounded up
     while len(log := sample_episodes(mdp, policy, count, horizon, seed=seed)) < n:
         count = int(np.ceil(1.2 * count * n / len(log))) + 1

@@ -239,6 +239,8 @@ def record_episodes(
     limit = _positive_or_none(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = _positive_or_none(n_episodes, "n_episodes")
+    # an episode has at least a row
+    _checks.require_memory(8.0 * (episodes or 0), "n_episodes", episodes)
     longest = _positive_or_none(max_steps, "max_steps")
     require_environment(env)
     pi, n_observations = _policy_on_observations(env, policy)
