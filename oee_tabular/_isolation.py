@@ -16,9 +16,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from oee_tabular._printing import EPOCH
+
 # module -> the file of settings that it looks for in the current folder while it is
 # imported
 SETTINGS = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+BACKEND = "MPLBACKEND"  # which matplotlib reads while it is imported
 SAFE_PATH = "PYTHONSAFEPATH"  # lets Python leave the current folder out of its path
 
 
@@ -50,7 +53,8 @@ def _execute(execute: Callable[[Any], object], module: Any) -> None:
 
     os.path.exists = exists_elsewhere
     try:
-        execute(module)
+        with _backend_of_files():
+            execute(module)
     finally:
         os.path.exists = exists
     if module.__name__ == "numba.core.config":
@@ -58,8 +62,24 @@ def _execute(execute: Callable[[Any], object], module: Any) -> None:
         module._config_fname = os.devnull
 
 
+@contextmanager
+def _backend_of_files() -> Iterator[None]:
+    """Let matplotlib draw into files while it is imported, whatever else is set.
+
+    A window is never opened, and the variable may hold what is no backend.
+    """
+    before = os.environ.get(BACKEND)
+    os.environ[BACKEND] = "Agg"
+    try:
+        yield
+    finally:
+        _set_variable(BACKEND, before)
+
+
 def ignore_settings() -> None:
     """Let this process ignore settings of the current folder from now on."""
+    if os.environ.get(EPOCH) == "":  # which libraries read as a number
+        del os.environ[EPOCH]
     if not is_isolated():
         sys.meta_path.insert(0, _Finder())
 
@@ -129,10 +149,15 @@ def _can_flush(stream: Any) -> bool:
 
 def set_safe_path(value: str | None) -> None:
     """Set the variable of the environment, or remove it."""
+    _set_variable(SAFE_PATH, value)
+
+
+def _set_variable(name: str, value: str | None) -> None:
+    """Set a variable of the environment, or remove it."""
     if value is None:
-        os.environ.pop(SAFE_PATH, None)
+        os.environ.pop(name, None)
     else:
-        os.environ[SAFE_PATH] = value
+        os.environ[name] = value
 
 
 def begin_worker(is_command: bool, safe_path: str | None) -> None:

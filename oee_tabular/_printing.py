@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from html import escape
 from typing import TextIO
 
+from oee_tabular.exceptions import ArgumentError
+
+EPOCH = "SOURCE_DATE_EPOCH"  # the variable with the date of reproducible files
 # the unit of a value, unless something else is said
 SUM = "discounted sum of rewards, not normalised"
 # what this package prints beyond ASCII, as streams of other encodings show it
@@ -37,6 +41,19 @@ def write_day(seconds: float) -> str:
     """Write the day (UTC) of a number of seconds since 1970."""
     day = datetime.fromtimestamp(seconds, UTC)
     return f"{day.day} {day:%B %Y}"
+
+
+def read_epoch() -> str:
+    """Return the day of SOURCE_DATE_EPOCH; "" where it is not set."""
+    given = os.environ.get(EPOCH, "")
+    try:
+        return write_day(int(given)) if given else ""
+    except (ValueError, OverflowError, OSError):
+        raise ArgumentError(
+            EPOCH,
+            f"must be a whole number of seconds since 1970; it is {given[:100]!r} (a"
+            " variable of the environment)",
+        ) from None
 
 
 def print_text(text: str, stream: TextIO | None) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import math
-import os
 import platform
 import re
 from collections import Counter
@@ -41,7 +40,6 @@ from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 if TYPE_CHECKING:
     from oee_tabular.report.results import Report
 
-EPOCH = "SOURCE_DATE_EPOCH"
 LIBRARIES = (
     "numpy",
     "scipy",
@@ -182,17 +180,7 @@ def date(report: Report) -> str:
 
     It is that of SOURCE_DATE_EPOCH where it is set, else of the newest input file.
     """
-    given = os.environ.get(EPOCH, "")
-    try:
-        return (
-            _printing.write_day(int(given))
-            if given
-            else str(report.facts.get("date", ""))
-        )
-    except (ValueError, OverflowError, OSError):
-        raise ArgumentError(
-            EPOCH, f"must be a whole number of seconds since 1970; it is {given!r}"
-        ) from None
+    return _printing.read_epoch() or str(report.facts.get("date", ""))
 
 
 def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:

@@ -377,7 +377,7 @@ def test_the_hash_depends_on_the_inputs_alone():
 
 
 def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatch):
-    monkeypatch.delenv(page.EPOCH, raising=False)
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     old = tmp_path / "old.npz"
     new = tmp_path / "new.npz"
     for path, day in ((old, 100), (new, 365)):
@@ -389,10 +389,10 @@ def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatc
         problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"}
     )
     assert page.date(report) == "1 January 1971"
-    monkeypatch.setenv(page.EPOCH, str(400 * 86400))
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", str(400 * 86400))
     assert page.date(report) == "5 February 1971"
     assert "5 February 1971" in report.to_html()
-    monkeypatch.setenv(page.EPOCH, "soon")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "soon")
     with pytest.raises(
         ValueError,
         match=(
