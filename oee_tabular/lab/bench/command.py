@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from oee_tabular import _checks, _files
+from oee_tabular import _checks
 from oee_tabular._progress import is_terminal
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.estimators import REFERENCES, split
@@ -21,6 +21,7 @@ from oee_tabular.lab.bench.mapping import Families
 from oee_tabular.lab.bench.sources import families_at, find_family
 from oee_tabular.lab.bench.sweep import SEEDS, SIZES, TIMEOUT_SECONDS, plan
 from oee_tabular.lab.run import Store, run_and_write
+from oee_tabular.report import check_output
 
 
 def read_labels(labels: Sequence[str], names: Sequence[str]) -> dict[str, str]:
@@ -75,7 +76,7 @@ def bench(
     Bad arguments, families that cannot be made and folders with other settings are
     refused before it begins.
     """
-    _files.local(output)
+    check_output(output, "--output")
     settings = plan(
         estimators,
         families=families,

@@ -22,6 +22,7 @@ from oee_tabular.lab.experiments import (
     zeta,
 )
 from oee_tabular.lab.run import Store, refuse_links, require_modules, run_and_write
+from oee_tabular.report import check_output
 
 INDEX = "index.md"
 # the last line of an index, without which an edited one would be lost
@@ -124,7 +125,7 @@ def reproduce(
     """
     if seeds is not None and seeds < 1:
         raise ArgumentError("--seeds", f"must be at least 1; got {seeds}")
-    _files.local(output)
+    check_output(output, "--output")
     chosen: list[Experiment] = []
     missing: list[ImportError] = []
     for experiment in choose(names, everything=everything):
