@@ -185,9 +185,7 @@ def new_file(
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise OSError(
-            error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
-        ) from None
+        raise _writing.cannot_write(error, path) from None
     return output
 
 

@@ -236,9 +236,7 @@ class Part:
             named = error.filename if error.filename is None else Path(error.filename)
             if error.errno is None or (named not in own and not _is_part(named)):
                 raise
-            raise OSError(
-                error.errno, f"cannot be written ({error.strerror})", self.path
-            ) from None
+            raise cannot_write(error, self.path) from None
 
 
 def _kind_of(path: Path) -> str:
@@ -256,6 +254,14 @@ def require_folder(folder: Path) -> None:
     """Raise a FileNotFoundError unless there is such a folder."""
     if not folder.is_dir():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
+
+
+def cannot_write(error: OSError, path: str | os.PathLike[str]) -> OSError:
+    """Return the error that a file cannot be written, for the reason of another."""
+    number = error.errno
+    if number == errno.ENOENT:  # in a folder that takes no files, as /proc
+        number = errno.EACCES
+    return OSError(number, f"cannot be written ({error.strerror})", os.fspath(path))
 
 
 def _is_part(path: object) -> bool:
@@ -438,9 +444,7 @@ def alone_in(folder: Path, remedy: str, *, seconds: float = 0.0) -> Iterator[Non
             f" {remedy}",
         ) from None
     except OSError as error:
-        raise OSError(
-            error.errno, f"cannot be written ({error.strerror})", str(path)
-        ) from None
+        raise cannot_write(error, path) from None
     try:
         # the number is a help for people; on a full disk there is none
         with contextlib.suppress(OSError):
