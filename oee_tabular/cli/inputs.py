@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _checks, _files, _progress
@@ -66,6 +66,8 @@ def task_of(
         _checks.positive_integer(samples, "samples_per_pair")
     is_mdp = Path(spec).suffix.lower() in oee.tasks.MDP_ENDINGS
     is_file = is_mdp and Path(spec).is_file()
+    if samples is not None and (is_file or not is_own(spec)):
+        _require_stepped(spec, samples, is_file=is_file)
     if (is_own(spec) and not is_file) or samples is not None:
         with own_modules():
             make = _maker(spec)
@@ -83,6 +85,29 @@ def task_of(
     is_number = is_whole_number(initial)
     start = whole_number(initial, "--initial") if is_number else initial
     return replace(task, mdp=task.mdp.with_initial(start))
+
+
+def _require_stepped(spec: str, samples: int, *, is_file: bool) -> None:
+    """Refuse a number of samples for what is no environment that can be stepped."""
+    from oee_tabular.continuous import is_continuous
+    from oee_tabular.tasks import FINITE
+
+    if is_continuous(spec):
+        what = "a continuous task, whose cells are sampled by themselves"
+    elif is_file or spec.partition(":")[0] in FINITE:
+        what = "whose probabilities are known"
+    else:
+        return
+    _refuse_samples(spec, samples, what)
+
+
+def _refuse_samples(spec: str, samples: int, what: str) -> NoReturn:
+    """Raise the ArgumentError for a number of samples that is not used."""
+    raise ArgumentError(
+        "samples_per_pair",
+        f"must be left out for {spec!r}, {what} (it is for an environment that is"
+        f" stepped); it is {samples}",
+    )
 
 
 def has_default_discount(
@@ -174,6 +199,8 @@ def _as_mdp(
 ) -> oee.FiniteMDP:
     """Make a FiniteMDP of an environment, from its table or by stepping it."""
     if isinstance(made, oee.FiniteMDP):
+        if samples is not None:
+            _refuse_samples(spec, samples, "whose probabilities are known")
         return made
     if isinstance(made, oee.tasks.ContinuousTask):
         raise ValueError(
