@@ -167,8 +167,8 @@ def sample(
         task = task_of(environment, discount, initial)
         if settings:
             raise ValueError(
-                "--task-option needs a continuous task (--simulator"
-                " cartpole:gravity=10)"
+                "--task-option needs a continuous task (oee sample"
+                f" cartpole:gravity=10); {environment!r} is none"
             )
         log = _record(
             task,
