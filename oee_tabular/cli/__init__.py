@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 import warnings
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from oee_tabular import _progress
 from oee_tabular._memory import require_room
+from oee_tabular._printing import read_epoch
 from oee_tabular.cli import files, improving, values
 from oee_tabular.cli.details import IN_TERMINAL, details_of, to_markdown
 from oee_tabular.cli.options import (
@@ -29,6 +31,8 @@ from oee_tabular.cli.options import (
     say,
 )
 from oee_tabular.exceptions import ArgumentError
+
+THREADS = "NUMBA_NUM_THREADS"  # the variable with the number of numba's threads
 
 
 def _as_terminal_text(markdown: str) -> str:
@@ -53,12 +57,10 @@ class Command(TyperCommand):
         Without this check, the first value would be lost. Files that follow that of
         --log are those of a pattern that the shell has replaced.
         """
-        _, rest, order = self.make_parser(ctx).parse_args(args=list(args))
+        texts, rest, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
             if times > 1 and not getattr(parameter, "multiple", False):
-                raise ArgumentError(
-                    parameter.opts[0], f"must be given once; it is given {times} times"
-                )
+                _refuse_again(parameter, times, args)
         has_log = any("--log" in parameter.opts for parameter in order)
         if has_log and rest and all(Path(word).exists() for word in rest):
             pattern = Path(rest[0]).with_name(f"*{Path(rest[0]).suffix}")
@@ -67,11 +69,24 @@ class Command(TyperCommand):
                 f"must stand before each file; before {rest[0]!r} it does not (quote a"
                 f" pattern: --log '{pattern}')",
             )
-        return super().parse_args(ctx, args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            _add_value(error, texts)
+            raise
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            # which is the current folder to pathlib
+            if isinstance(value, Path) and texts.get(parameter.name) == "":
+                raise ArgumentError(
+                    parameter.opts[0], "must name a file or a folder; it is ''"
+                )
+        return rest
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; in an error, an argument gets the name of its option."""
         require_room()
+        _require_variables()
         remarks.clear()
         try:
             result = super().invoke(ctx)
@@ -118,6 +133,50 @@ class Command(TyperCommand):
                 rows = [(form, _as_terminal_text(text)) for form, text in forms.items()]
                 with formatter.section(f"Values of {title}"):
                     formatter.write_dl(rows)
+
+
+def _require_variables() -> None:
+    """Refuse variables of the environment that libraries cannot read.
+
+    numpy reads the date, and numba the number, while they are imported.
+    """
+    read_epoch()
+    text = os.environ.get(THREADS, "1")
+    try:
+        is_positive = int(text) > 0
+    except ValueError:
+        is_positive = not text  # numba takes its default
+    if not is_positive:
+        raise ArgumentError(
+            THREADS,
+            f"must be a positive integer; it is {text[:100]!r} (a variable of the"
+            " environment)",
+        )
+
+
+def _refuse_again(parameter: Any, times: int, args: list[str]) -> NoReturn:
+    """Raise an ArgumentError for an option that is given several times.
+
+    Both words of a pair like --normalized/--raw are one option.
+    """
+    words = (*parameter.opts, *parameter.secondary_opts)
+    given = [word for word in words if word in args] or words
+    if len(given) > 1 and parameter.secondary_opts:
+        raise ArgumentError(
+            given[0], f"must be left out with {given[1]}: the two exclude each other"
+        )
+    raise ArgumentError(given[0], f"must be given once; it is given {times} times")
+
+
+def _add_value(error: typer.BadParameter, texts: dict[str, Any]) -> None:
+    """Add to an error of typer the value that was given, where it has none."""
+    # imports numpy, which the help does without
+    from oee_tabular._checks import show
+
+    name = None if error.param is None else error.param.name
+    text = texts.get(name or "")
+    if text is not None and show(text) not in error.message:
+        error.message = f"{error.message}; it is {show(text)}"
 
 
 class Group(TyperGroup):
@@ -238,6 +297,8 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, MemoryError):
         words = str(error).replace("Unable to allocate", "this needs", 1)
         return f"not enough memory; {words or 'this needs more than there is'}"
+    if isinstance(error, FileNotFoundError) and _is_in_removed_folder(error.filename):
+        return "the current folder was removed (change to another one)"
     if isinstance(error, FileNotFoundError) and error.filename:
         kind = "folder" if error.strerror == "no such folder" else "file"
         return f"no such {kind}: {error.filename}"
@@ -247,3 +308,14 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"the output cannot be written ({error.strerror})"
     return str(error)
+
+
+def _is_in_removed_folder(path: Any) -> bool:
+    """Return whether a path, or None, is not found as the current folder is gone."""
+    if path is not None and os.path.isabs(path):
+        return False
+    try:
+        os.getcwd()
+    except OSError:
+        return True
+    return False

@@ -267,7 +267,7 @@ def read_outputs(
         title = ""
         text = report
         path = Path(report)
-    page = new_page(path, "--report", overwrite=overwrite)
+    page = new_page(text, "--report", overwrite=overwrite)
     if folder is not None and os.path.realpath(folder) == os.path.realpath(page.path):
         raise ArgumentError(
             "--report", f"must be no folder; {text!r} is the folder of --output"

@@ -102,7 +102,7 @@ def check_page(path: str | os.PathLike[str]) -> Path:
     Traceback (most recent call last):
     ValueError: path of the report must end in .html or .htm; it is 'report.pdf'
     """
-    file = Path(_files.local(path))
+    file = Path(_files.local(path, "path of the report"))
     if file.suffix.lower() not in (".html", ".htm"):
         raise ValueError(
             f"path of the report must end in .html or .htm; it is {str(file)!r}"

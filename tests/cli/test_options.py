@@ -214,3 +214,90 @@ def test_commands_take_policies_whose_names_are_no_text(run, foreign):
         run("improve", data, words)
     assert "q\\udcff.npy" in Path("page.html").read_text()
     run("policy sim.npz", foreign, "--output c.npy")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("--guaranteed --quick", "--guaranteed must be left out with --quick: the two"),
+        ("--quick --guaranteed", "--guaranteed must be left out with --quick: the two"),
+        ("--raw --normalized", "--normalized must be left out with --raw: the two"),
+        ("--raw --normalized --raw", "--normalized must be left out with --raw"),
+        ("--quick --quick", "--quick must be given once; it is given 2 times"),
+        ("--json --json --json", "--json must be given once; it is given 3 times"),
+        ("--seed 1 --seed 2", "--seed must be given once; it is given 2 times"),
+        ("--output ''", "--output must name a file or a folder; it is ''"),
+        ("--features ''", "--features must name a file or a folder; it is ''"),
+        ("--report ''", "path of the report must be text, not empty"),
+        ("--seed 1.5", "Invalid value for '--seed'"),
+        ("--seed 1.5", "'1.5'"),
+        ("--seed=-1", "-1"),
+        ("--confidence 95%", "'95%'"),
+        ("--horizon ''", "''"),
+    ],
+)
+def test_errors_of_words_say_what_was_given(run, folder, words, text):
+    asked = "evaluate --simulator sim.npz --log log.csv"
+    assert text in run(asked, words, code=2)
+
+
+@pytest.mark.parametrize("number", ["1e3", "many", "9" * 5000])
+def test_numbers_that_are_none_are_shown_in_short(run, folder, number):
+    said = run("plan --simulator sim.npz --log log.csv --transitions", number, code=2)
+    assert number[:50] in said
+    assert len(said) < 1000
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "gridworld:3,slip=0.3 --output x.npz",
+        "recycling_robot --output x.npz",
+        "sim.npz --output x.npz",
+        "own_model:make --output x.npz",
+        "cartpole --output x.npz",
+    ],
+)
+def test_samples_are_for_environments_that_are_stepped(run, folder, words):
+    (folder / "own_model.py").write_text(
+        "import oee_tabular as oee\nmake = oee.tasks.gridworld(3, slip=0.3)\n"
+    )
+    said = run("export", words, "--samples-per-pair 3", code=2)
+    name = words.partition(" ")[0]
+    assert f"--samples-per-pair must be left out for '{name}', " in said
+    assert "it is for an environment that is stepped); it is 3" in said
+
+
+@pytest.mark.parametrize("option", ["--transitions", "--episodes"])
+@pytest.mark.parametrize("simulator", ["sim.npz", "cartpole", "FrozenLake-v1"])
+def test_a_log_that_memory_does_not_hold_is_named_as_given(
+    run, folder, simulator, option
+):
+    number = 99999999999999
+    said = run("sample", simulator, option, number, "--output l.csv", code=2)
+    assert f"{option} must be small enough for this machine's memory; {number}" in said
+
+
+def test_advice_fits_the_command(run, folder):
+    words = "sample sim.npz --transitions 9 --task-option state=1 --output l.csv"
+    said = run(words, code=2)
+    assert "(oee sample cartpole:gravity=10); 'sim.npz' is none" in said
+    words = "evaluate --simulator sim.npz --log log.csv --task-option state=1"
+    assert "(--simulator cartpole:gravity=10)" in run(words, code=2)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="only Linux has it")
+@pytest.mark.parametrize(
+    "words",
+    ["policy sim.npz uniform", "export sim.npz", "counts log.csv"],
+)
+def test_a_file_in_a_folder_that_takes_none_cannot_be_written(run, folder, words):
+    ending = ".npy" if "policy" in words else ".npz"
+    said = run(words, f"--output /proc/x{ending}", code=2)
+    assert f"/proc/x{ending}: cannot be written" in said
+
+
+@pytest.mark.parametrize("words", ["reproduce --smoke fig1a", "bench", "evaluate"])
+def test_a_folder_below_a_file_is_refused_before_the_work(run, folder, words):
+    said = run(words, "--output sim.npz/x", code=2)
+    assert "--output must be a folder that can be written; 'sim.npz' is a file" in said
