@@ -180,7 +180,7 @@ def test_an_option_given_twice_is_refused(run, name, option):
         ),
         ("evaluate --report x", "must end in .html or .htm; it is 'x'"),
         ("evaluate --report title=", "must end in .html"),
-        ("evaluate --quick --guaranteed", "--guaranteed must be given once"),
+        ("evaluate --quick --guaranteed", "--guaranteed must be left out with --quick"),
         (f"{SAMPLE} l.npz", "one of --transitions and --episodes must be given"),
         (
             f"{SAMPLE} l.npz --transitions 0",
