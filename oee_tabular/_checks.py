@@ -293,6 +293,24 @@ def require_finite(array: Array, name: str) -> None:
     _require(np.isfinite(array), array, name, "be finite; it is {}")
 
 
+def require_no_infinity(array: Array, name: str) -> None:
+    """Require every entry to be a finite number, or nan, which stands for none."""
+    _require(
+        ~np.isinf(array),
+        array,
+        name,
+        "be finite, or nan where it is not known; it is {}",
+    )
+
+
+def require_shape(array: Array, name: str, shape: tuple[int, ...]) -> None:
+    """Require an array of a shape."""
+    if array.shape != shape:
+        raise ArgumentError(
+            name, f"must have shape {shape}; it has shape {array.shape}"
+        )
+
+
 def require_nonnegative(array: Array, name: str) -> None:
     """Require every entry to be a finite number of at least 0."""
     # two passes that make no array decide in the usual case
@@ -411,10 +429,7 @@ def distribution(
     precision it is scaled.
     """
     array = float_array(value, name)
-    if array.shape != shape:
-        raise ArgumentError(
-            name, f"must have shape {shape}; it has shape {array.shape}"
-        )
+    require_shape(array, name, shape)
     require_nonnegative(array, name)
     total = np.asarray(array.sum())
     if total != 1.0:

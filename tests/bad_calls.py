@@ -226,6 +226,18 @@ trajectory_efficiency_bound(GRID, UNIFORM, UNIFORM, horizon=3, model="bush")  ->
 trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must ...in state 0 it never takes action 1
 transition_gradient(GRID, UNIFORM, values_of=mdp())  ->  values_of must have the model's states and actions, (9, 4)
 transition_gradient(GRID, UNIFORM, values_of=mdp(), horizon=3)  ->  values_of must have the model's states and actions
+transition_gradient(GRID, UNIFORM, values=np.zeros(3))  ->  values must have shape (9,); it has shape (3,)
+transition_gradient(GRID, UNIFORM, values=np.zeros((9, 1)))  ->  values must have shape (9,); it has shape (9, 1)
+transition_gradient(GRID, UNIFORM, values=2.0)  ->  values must have shape (9,); it has shape ()
+transition_gradient(GRID, UNIFORM, values=np.zeros(3), horizon=3)  ->  values must have shape (9,)
+transition_gradient(GRID, UNIFORM, values=[0.0, -np.inf] + [0.0] * 7)  ->  values[1] must be finite, or nan ...; it is -inf
+transition_gradient(GRID, UNIFORM, values="V")  ->  values must be an array of numbers
+transition_gradient(GRID, UNIFORM, values=object())  ->  values must be an array of numbers
+transition_gradient(GRID, UNIFORM, time=np.ones((1, 1)))  ->  time must have shape (9, 4); it has shape (1, 1)
+transition_gradient(GRID, UNIFORM, time=[0.5] * 9)  ->  time must have shape (9, 4); it has shape (9,)
+transition_gradient(GRID, UNIFORM, time=-EVEN)  ->  time[0, 0] must be nonnegative
+transition_gradient(GRID, UNIFORM, time=np.nan * EVEN)  ->  time[0, 0] must be finite; it is nan
+transition_gradient(GRID, UNIFORM, time={})  ->  time must be an array of numbers; got dict
 solve_policy_system(np.eye(2), [1, 1], 0.5)  ->  kernel must be a sparse matrix
 solve_policy_system(sparse.csr_array((2, 3)), np.ones(2), 0.5)  ->  kernel must be square, (S, S)
 solve_policy_system(sparse.csr_array([[0.5, -0.5], [0, 1]]), np.ones(2), 0.5)  ->  kernel ...nonnegative; kernel[0, 1] is

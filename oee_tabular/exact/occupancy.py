@@ -23,7 +23,7 @@ from oee_tabular.exact.system import drop_states, policy_system, recurrent_state
 from oee_tabular.exact.values import policy_rewards, solve, values_or_zeros
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy, optional_horizon_length, total_discount
-from oee_tabular.typing import Array, Csr, PolicyLike
+from oee_tabular.typing import Array, Csr, PolicyLike, RealArrayLike
 
 
 @overload
@@ -167,8 +167,8 @@ def transition_gradient(
     *,
     horizon: int | None = None,
     values_of: Model | None = None,
-    values: Array | None = None,
-    time: Array | None = None,
+    values: RealArrayLike | None = None,
+    time: RealArrayLike | None = None,
 ) -> Array:
     """Compute dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
@@ -188,11 +188,11 @@ def transition_gradient(
     values_of : FiniteMDP or ReweightedModel, optional
         The model whose V and rewards are used; the result is aligned with its
         ``transitions.data``. None means ``model``.
-    values : ndarray of shape (S,), optional
-        V of that model, where it is known, and nan elsewhere. It is not used with a
-        horizon.
-    time : ndarray of shape (S, A), optional
-        ``occupancy(model, policy)``, where it is known. It is used below discount 1
+    values : array_like of shape (S,), optional
+        V of that model, finite where it is known, and nan elsewhere. It is not used
+        with a horizon.
+    time : array_like of shape (S, A), optional
+        ``occupancy(model, policy)``, where it is known; finite and nonnegative. It is used below discount 1
         without a horizon.
 
     Returns
@@ -236,17 +236,36 @@ def transition_gradient(
     steps = optional_horizon_length(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of
-    if steps is None:
-        known = values_or_zeros(valued, pi) if values is None else values
-        gradient = back_up_transitions(valued, known)
-        if time is None or model.discount == 1.0:
-            times = infinite_visits(model, pi)
-        else:
-            times = time.sum(axis=1) / (1.0 - model.discount)
-        weight = repeat_rows(valued.csr, (times[:, None] * pi).reshape(-1))
-        gradient *= weight
-        # V may be nan in states that are never reached
-        if values is not None and np.isnan(values).any():
-            gradient[weight == 0.0] = 0.0
-        return np.asarray(gradient)
-    return gradient_to_horizon(model, valued, pi, steps)
+    known = None if values is None else _check_values(values, model)
+    shares = None if time is None else _check_time(time, model)
+    if steps is not None:
+        return gradient_to_horizon(model, valued, pi, steps)
+    if known is None:
+        known = values_or_zeros(valued, pi)
+    gradient = back_up_transitions(valued, known)
+    if shares is None or model.discount == 1.0:
+        times = infinite_visits(model, pi)
+    else:
+        times = shares.sum(axis=1) / (1.0 - model.discount)
+    weight = repeat_rows(valued.csr, (times[:, None] * pi).reshape(-1))
+    gradient *= weight
+    # V may be nan in states that are never reached
+    if values is not None and np.isnan(known).any():
+        gradient[weight == 0.0] = 0.0
+    return np.asarray(gradient)
+
+
+def _check_values(values: RealArrayLike, model: Model) -> Array:
+    """Return V as (S,) numbers, of which those that are not known are nan."""
+    array = _checks.float_array(values, "values")
+    _checks.require_shape(array, "values", (model.n_states,))
+    _checks.require_no_infinity(array, "values")
+    return array
+
+
+def _check_time(time: RealArrayLike, model: Model) -> Array:
+    """Return the shares of time in state-action pairs as (S, A) numbers."""
+    array = _checks.float_array(time, "time")
+    _checks.require_shape(array, "time", model.rewards.shape)
+    _checks.require_nonnegative(array, "time")
+    return array

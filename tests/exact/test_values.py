@@ -147,6 +147,15 @@ def test_the_gradient_is_the_derivative(rng):
     assert_allclose(gradient @ direction.reshape(-1), numeric, rtol=1e-5, atol=1e-5)
 
 
+def test_a_gradient_of_known_values_and_time_is_the_same():
+    mdp = oee.tasks.gridworld(3, 0.3)
+    policy = oee.uniform_policy(mdp)
+    values = oee.state_values(mdp, policy).tolist()
+    time = oee.occupancy(mdp, policy).tolist()
+    found = exact.transition_gradient(mdp, policy, values=values, time=time)
+    assert_allclose(found, exact.transition_gradient(mdp, policy), rtol=1e-9)
+
+
 def test_unnormalised_kernels_diverge_with_their_radius():
     """1.15 P at discount 0.9 has a radius of 1.035."""
     mdp = random_mdp(
