@@ -19,7 +19,7 @@ from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 from oee_tabular import _containers
-from oee_tabular._containers import LossError, to_plain_array
+from oee_tabular._containers import MAX_SEQUENCE, LossError, to_plain_array
 from oee_tabular._containers import is_sparse as is_sparse
 from oee_tabular._containers import place as place
 from oee_tabular._containers import to_native as to_native
@@ -492,6 +492,8 @@ def _single(value: Any, name: str, kinds: str) -> Any:
         if value.dtype.kind not in kinds:
             raise TypeError
         return value
+    if isinstance(value, list | tuple | range):
+        raise TypeError  # whatever is in it, and however long it is
     plain = _plain(value, name)
     if isinstance(plain, list | tuple):
         raise TypeError
@@ -598,6 +600,8 @@ def collection(
     try:
         if isinstance(value, str | bytes):
             raise TypeError
+        if isinstance(value, range):
+            _refuse_long_range(value, name, rule)
         is_known = type(value) is list or (may_be_set and isinstance(value, Set))
         if not is_known:
             _require_order(value, name, rule)
@@ -612,6 +616,15 @@ def collection(
         raise ArgumentError(
             name, f"must be {rule}; got {type(value).__name__}"
         ) from None
+
+
+def _refuse_long_range(value: range, name: str, rule: str) -> None:
+    """Refuse a range whose items would fill the memory, which it does not itself."""
+    if _containers.length_of_range(value) > MAX_SEQUENCE:
+        raise ArgumentError(
+            name,
+            f"must be {rule}, at most {MAX_SEQUENCE} of them; got {show(value)}",
+        )
 
 
 _SET_ITERATOR: type = type(iter(set[Any]()))

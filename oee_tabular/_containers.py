@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from datetime import date, time, timedelta
 from decimal import Decimal
 from fractions import Fraction
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 Index = tuple[int, ...]
 
 MAX_DEPTH = 64  # of lists in lists, the most dimensions of numpy's arrays
-MAX_SEQUENCE = 10**7  # items of what is a sequence by its methods alone
+MAX_SEQUENCE = 10**7  # items of a range, or of a sequence by its methods alone
 MAX_SHOWN_LABELS = 3
 # types of single values, of which an array is made as it stands
-_PLAIN = {int, float, bool, complex, str, bytes, type(None), Decimal, Fraction, range}
+_PLAIN = {int, float, bool, complex, str, bytes, type(None), Decimal, Fraction}
 _SINGLE = (np.generic, str, bytes, date, time, timedelta)
 _KNOWN = {np.ndarray, list, tuple, type(None)}  # columns without labels
 _HOLDERS = ("magnitude", "value", "_value")  # of the numbers of a quantity
@@ -100,6 +100,9 @@ def to_plain_array(
         return value
     if isinstance(value, list | tuple):
         return _plain_items(value, name, index, allow_missing)
+    if isinstance(value, range):
+        _refuse_long_ranges([value], name, index)
+        return np.array(value)
     if is_sparse(value):
         raise TypeError("a sparse matrix: give .toarray()")
     if _is_missing(value):
@@ -134,6 +137,41 @@ def to_plain_array(
             return inner
         return _plain_objects(array, name, index, allow_missing)
     return array
+
+
+def length_of_range(numbers: range) -> int:
+    """Return the number of items of a range, which ``len`` refuses where it is large.
+
+    >>> length_of_range(range(0, 10**30, 3)) == (10**30 + 2) // 3
+    True
+    """
+    step = numbers.step
+    toward = 1 if step > 0 else -1
+    return max(0, (numbers.stop - numbers.start + step - toward) // step)
+
+
+def count_in_ranges(items: Iterable[object]) -> int:
+    """Return the number of items of all ranges among some values."""
+    return sum(length_of_range(x) for x in items if isinstance(x, range))
+
+
+def _refuse_long_ranges(items: Iterable[object], name: str, index: Index) -> None:
+    """Raise a LossError where ranges would fill the memory as arrays.
+
+    A range takes none itself, whatever its length.
+    """
+    count = count_in_ranges(items)
+    if count > MAX_SEQUENCE:
+        raise LossError(
+            place(name, index) if index else name,
+            f"must have at most {MAX_SEQUENCE} numbers as a range; it has"
+            f" {_show_count(count)} (more of them: numpy.arange)",
+        )
+
+
+def _show_count(count: int) -> str:
+    """Write a number; Python writes none of more than 4300 digits."""
+    return str(count) if count < 2**63 else "2**63 or more"
 
 
 def to_native(value: Any) -> Any:
@@ -211,6 +249,7 @@ def _plain_items(
     """Return a list whose items are plain; itself where they are."""
     if len(index) > MAX_DEPTH or _are_plain(items, len(index)):
         return items
+    _refuse_long_ranges(items, name, index)  # all of them together
     return [
         to_plain_array(item, name, (*index, k), allow_missing=allow_missing)
         for k, item in enumerate(items)

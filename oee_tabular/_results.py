@@ -339,7 +339,11 @@ def _number(value: Any, name: str) -> Any:
             number = float(value)  # a larger one is no float
             # numpy has no functions of integers of more than 64 bits
             return value if abs(number) < 2.0**63 else number
-        array = None if _checks.is_sparse(value) else np.asarray(value)
+        # sequences are refused by their type: of a range the array may be endless
+        is_array = not (
+            isinstance(value, list | tuple | range) or _checks.is_sparse(value)
+        )
+        array = np.asarray(value) if is_array else None
         if array is None or array.ndim or array.dtype.kind not in "biufO":
             raise TypeError
         return float(value)

@@ -135,7 +135,7 @@ class UnknownKeywordError(TypeError):
     ) -> None:
         try:
             hint = f"It takes {', '.join(known)}." if len(known) else "It takes none."
-        except TypeError:  # these are no names
+        except (TypeError, MemoryError):  # these are no names
             hint = ""
         if nearest is not None:
             hint = f"Did you mean {_text(nearest)!r}?"

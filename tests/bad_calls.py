@@ -124,6 +124,27 @@ sample_transitions(GRID, EVEN, 9, seed=True)  ->  seed must be an integer; got T
 sample_transitions(GRID, EVEN, 9, seed=np.array([0.5]))  ->  seed
   must be what numpy.random.default_rng takes; ...an array of float64
 
+# ranges without an end in sight
+mdp(range(10**12))  ->  transitions must have at most 10000000 numbers as a range; it has 1000000000000 (more ...: numpy.arange)
+mdp([[[0.5, 0.5]], range(10**12)])  ->  transitions must have at most 10000000 numbers as a range
+mdp(rewards=range(10**30))  ->  rewards must have at most 10000000 numbers as a range
+mdp(rewards=range(0, -(10**30), -3))  ->  rewards must have at most 10000000 numbers as a range
+mdp(rewards=range(10**9000))  ->  rewards must have at most 10000000 numbers as a range; it has 2**63 or more
+mdp(rewards=[range(10**8)] * 10**5)  ->  rewards must have at most 10000000 numbers as a range
+mdp(rewards=np.array([range(10**12), None], dtype=object))  ->  rewards[0] must have at most 10000000 numbers as a range
+mdp(discount=range(10**12))  ->  discount must be a number; got range(0, 1000000000000)
+mdp(discount=[0.9])  ->  discount must be a number; got [0.9]
+policy_value(GRID, UNIFORM, horizon=range(10**8))  ->  horizon must be a positive integer; got range(0, 100000000)
+policy_value(GRID, UNIFORM, horizon=(3,))  ->  horizon must be a positive integer; got (3,)
+policy_value(GRID, range(10**12))  ->  policy must have at most 10000000 numbers as a range
+Problem(GRID, LOG, behavior_policy=[range(10**7)] * 9)  ->  behavior_policy must have at most 10000000 numbers as a range
+Transitions(range(10**12), [0], [0])  ->  state must have at most 10000000 numbers as a range
+Estimate(range(10**12))  ->  value must be a number; got range(0, 1000000000000)
+Estimate(1.0, standard_error=[0.5])  ->  standard_error must be a number; got [0.5]
+HALL.with_names(range(10**12))  ->  state_names must be ..., at most 10000000 of them; got range(0, 1000000000000)
+HALL.with_names(action_names=range(10**30))  ->  action_names must be ..., at most 10000000 of them; got range(0, 1000
+Transitions.concatenate(range(10**8))  ->  logs must be ..., at most 10000000 of them; got range(0, 100000000)
+
 # names of states and actions
 HALL.with_names(["caf\u00e9", "cafe\u0301", "c"])  ->  state_names
   must differ; state_names[1] is ... (in characters: 'cafe\u0301' and 'caf\xe9')

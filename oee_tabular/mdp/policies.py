@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
+from oee_tabular._containers import MAX_SEQUENCE, count_in_ranges, length_of_range
 from oee_tabular._keywords import suggest_keywords
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import require_numbers
@@ -676,6 +677,11 @@ def count_dimensions(value: Any) -> int:
 
 def shape_of(value: Any) -> tuple[int, ...]:
     """Return the shape of an array, or of lists that make one; () for anything else."""
+    if isinstance(value, range):
+        return (length_of_range(value),)  # numpy would make an array of it
+    is_list = isinstance(value, list | tuple)
+    if is_list and count_in_ranges(value) > MAX_SEQUENCE:
+        return ()
     try:
         return () if isinstance(value, Mapping) else np.shape(value)
     except Exception:  # another library's object may raise anything

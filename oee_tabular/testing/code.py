@@ -100,6 +100,9 @@ def _write(value: object) -> str:
     if isinstance(value, tuple):
         items = [_write(item) for item in value]
         return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+    if isinstance(value, range):
+        ends = (value.start, value.stop, value.step)
+        return f"range({', '.join(map(_write, ends))})"
     if isinstance(value, Sequence):
         return f"[{', '.join(map(_write, value))}]"
     raise ArgumentError(

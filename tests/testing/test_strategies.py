@@ -254,7 +254,10 @@ def test_code_of_every_form(value):
 
 @pytest.mark.parametrize(
     "value",
-    [3, -1.5, None, True, "x", (1,), [1.0, None], {"a": 1}, 10**4000, -(3**20000)],
+    [
+        *(3, -1.5, None, True, "x", (1,), [1.0, None], {"a": 1}),
+        *(10**4000, -(3**20000), range(5), range(10**12), range(9, 0, -2)),
+    ],
     ids=lambda value: type(value).__name__,
 )
 def test_code_of_plain_values(value):
