@@ -569,6 +569,25 @@ def function(value: object, name: str) -> None:
         raise ArgumentError(name, f"must be a function; got {type(value).__name__}")
 
 
+def call_function(
+    given: Callable[..., T], name: str, call: str, *arguments: object, **named: object
+) -> T:
+    """Call a user's function; what it raises becomes an ArgumentError that names it.
+
+    ``call`` says how it is called. Errors of the package name an argument already.
+    """
+    try:
+        return given(*arguments, **named)
+    except (ArgumentError, MemoryError):
+        raise
+    except Exception as error:  # a user's function may raise anything
+        raise ArgumentError(
+            name,
+            f"must be a function that can be called as {call}; it raises"
+            f" {type(error).__name__}: {first_line(error)}",
+        ) from error
+
+
 def warn(text: str, category: type[Warning]) -> None:
     """Warn at the line that called the package, however deep inside the cause is.
 

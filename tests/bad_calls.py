@@ -131,7 +131,6 @@ mdp(rewards=range(10**30))  ->  rewards must have at most 10000000 numbers as a 
 mdp(rewards=range(0, -(10**30), -3))  ->  rewards must have at most 10000000 numbers as a range
 mdp(rewards=range(10**9000))  ->  rewards must have at most 10000000 numbers as a range; it has 2**63 or more
 mdp(rewards=[range(10**8)] * 10**5)  ->  rewards must have at most 10000000 numbers as a range
-mdp(rewards=np.array([range(10**12), None], dtype=object))  ->  rewards[0] must have at most 10000000 numbers as a range
 mdp(discount=range(10**12))  ->  discount must be a number; got range(0, 1000000000000)
 mdp(discount=[0.9])  ->  discount must be a number; got [0.9]
 policy_value(GRID, UNIFORM, horizon=range(10**8))  ->  horizon must be a positive integer; got range(0, 100000000)
@@ -144,6 +143,26 @@ Estimate(1.0, standard_error=[0.5])  ->  standard_error must be a number; got [0
 HALL.with_names(range(10**12))  ->  state_names must be ..., at most 10000000 of them; got range(0, 1000000000000)
 HALL.with_names(action_names=range(10**30))  ->  action_names must be ..., at most 10000000 of them; got range(0, 1000
 Transitions.concatenate(range(10**8))  ->  logs must be ..., at most 10000000 of them; got range(0, 100000000)
+
+# functions that cannot be called as they must, or that fail
+evaluate(P, {"a": UNIFORM}, tie=lambda s: 0)  ->  tie must be a function that can be called as tie(state, action, next_state),
+  of three arrays of integers; it raises TypeError: ...takes 1 positional argument but 3 were given
+evaluate(P, UNIFORM, features=object)  ->  features must be ...called as features(state, action, next_state), ...TypeError
+interval(P, UNIFORM, tie=lambda *_: 1 / 0)  ->  tie must be ...; it raises ZeroDivisionError: division by zero
+oee.report.contest(P, [UNIFORM, UP], features=lambda: 0)  ->  features must be ...; it raises TypeError
+zeta(features=lambda s: 0.0)  ->  features must be ...; it raises TypeError
+zeta(tie=lambda *_: {}["key"])  ->  tie must be ...; it raises KeyError: 'key'
+zeta(coordinates=PLACE, method="kernel", kernel=lambda x: x)  ->  kernel must be ...called as kernel(x, c), ...TypeError
+zeta(ridge=lambda: 1)  ->  ridge must be a function that can be called as ridge(n), n the sample size; it raises TypeError
+density(ridge=lambda n: 1 / 0)  ->  ridge must be ...; it raises ZeroDivisionError: division by zero
+density(ridge=object)  ->  ridge must be ...; it raises TypeError
+Marginalized(features=lambda s: s)(P, UNIFORM)  ->  features must be ...called as features(state, action), ...TypeError
+figure_png(draw=object)  ->  draw must be a function that can be called as draw(ax), ...; it raises TypeError
+figure_svg(lambda ax: ax.plots([0, 1]), name="a", title="b", description="c")  ->  draw must be ...; it raises AttributeError
+figure_png(draw=lambda ax: policy_value(GRID, UNIFORM, horizon=0))  ->  horizon must be a positive integer; it is 0
+fit_parameters(object, {"gravity": 10.0}, pole())  ->  start must name parameters that task_of takes
+fit_parameters(lambda gravity: 1 / 0, {"gravity": 10.0}, pole())  ->  task_of must be ...called as task_of(gravity=...)
+fit_parameters(dict, {"gravity": 10.0}, pole())  ->  task_of(**start) must be a ContinuousTask; got dict
 
 # names of states and actions
 HALL.with_names(["caf\u00e9", "cafe\u0301", "c"])  ->  state_names

@@ -40,6 +40,8 @@ MAX_CONDITION = 1e12
 # length of the part of a unit column that the others do not span, below which the
 # column is a combination of them
 RANK_TOLERANCE = 1e-10
+# how errors say that the function is called
+FEATURES_CALL = "features(state, action), of two arrays of integers"
 FeaturesLike: TypeAlias = RealArrayLike | Callable[[IntArray, IntArray], RealArrayLike]
 
 
@@ -311,7 +313,8 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
     if callable(features):
-        features = features(*np.divmod(np.arange(size), shape[1]))
+        pairs = np.divmod(np.arange(size), shape[1])
+        features = _checks.call_function(features, "features", FEATURES_CALL, *pairs)
     array = _checks.float_array(features, "features")
     is_table = array.shape[:2] == shape and array.ndim in (2, 3)
     if array.size == 0 or not (

@@ -278,7 +278,8 @@ def _figure(draw: Callable[[Axes], object], size: tuple[float, float]) -> Any:
         raise ArgumentError("size", f"must be from 0.1 to 100 inches; it is {inches}")
     shape = SLIDE_INCHES if has_slides() else inches
     figure = Figure(figsize=shape, layout="constrained")
-    draw(figure.subplots())
+    ax = figure.subplots()
+    _checks.call_function(draw, "draw", "draw(ax), ax an Axes of matplotlib", ax)
     return figure
 
 

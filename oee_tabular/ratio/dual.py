@@ -73,7 +73,8 @@ def check_box(
 def check_ridge(value: object, n: float) -> float:
     """Return lambda_n, a given number or a function of the sample size, checked."""
     if callable(value):
-        return _checks.number_in(value(n), f"ridge({n:g})", 0.0, np.inf)
+        found = _checks.call_function(value, "ridge", "ridge(n), n the sample size", n)
+        return _checks.number_in(found, f"ridge({n:g})", 0.0, np.inf)
     return _checks.number_in(value, "ridge", 0.0, np.inf)
 
 

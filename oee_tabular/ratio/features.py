@@ -53,6 +53,9 @@ N_POINTS_PER_SQUARE = 64
 PIVOT_TOLERANCE = 1e-12
 # The share of the largest k(x, x) by which a variance may be negative from rounding.
 NEGATIVE_VARIANCE_TOLERANCE = 1e-6
+# how errors say that functions are called
+FEATURES_CALL = "features(state, action, next_state), of three arrays of integers"
+KERNEL_CALL = "kernel(x, c), of two arrays of points, (n, d) and (m, d)"
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
@@ -141,7 +144,8 @@ def kernel_features(
 
 def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
     """Evaluate the kernel and check that it is finite and of shape (n, m)."""
-    array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
+    given = _checks.call_function(kernel, "kernel", KERNEL_CALL, x, centers)
+    array = _checks.float_array(given, "kernel", ndim=2)
     if array.shape != (len(x), len(centers)):
         raise ArgumentError(
             "kernel",
@@ -201,7 +205,9 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     if not callable(features) and is_frame(features):
         return features_of(eager(features), simulator)[0]
     if callable(features):
-        features = features(*Rows.of(simulator).transitions)
+        features = _checks.call_function(
+            features, "features", FEATURES_CALL, *Rows.of(simulator).transitions
+        )
     return features_of(_checks.float_array(features, "features"), simulator)[0]
 
 

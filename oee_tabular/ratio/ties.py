@@ -38,6 +38,8 @@ from oee_tabular.typing import FrameLike, IntArray, IntArrayLike
 TieLike: TypeAlias = (
     IntArrayLike | FrameLike | Callable[[IntArray, IntArray, IntArray], IntArrayLike]
 )
+# how errors say that a function of transitions is called
+TIE_CALL = "tie(state, action, next_state), of three arrays of integers"
 
 
 @suggest_keywords
@@ -170,7 +172,7 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     if not callable(tie) and is_frame(tie):
         return keys_of(eager(tie), rows, simulator)
     if callable(tie):
-        tie = tie(*rows.transitions)
+        tie = _checks.call_function(tie, "tie", TIE_CALL, *rows.transitions)
     return keys_of(_checks.as_array(tie, "tie"), rows, simulator)
 
 

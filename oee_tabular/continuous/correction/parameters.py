@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -188,7 +189,7 @@ def fit_parameters(
 
     def task_at(x: Array) -> ContinuousTask:
         """Return the task with these parameters."""
-        return task_of(**_by_name(names, x))
+        return _call_task_of(task_of, _by_name(names, x))
 
     def scaled_errors(x: Array) -> Array:
         """Return the errors in units of the displacements' deviations, as a vector."""
@@ -308,18 +309,28 @@ def _by_name(names: list[str], x: Array) -> dict[str, float]:
     return dict(zip(names, x.tolist(), strict=True))
 
 
+def _call_task_of(
+    task_of: Callable[..., ContinuousTask], given: Mapping[str, float]
+) -> ContinuousTask:
+    """Return the task of some parameters by the user's function."""
+    call = f"task_of({', '.join(f'{name}=...' for name in given)})"
+    return _checks.call_function(task_of, "task_of", call, **given)
+
+
 def _make_task(
     task_of: Callable[..., ContinuousTask], names: list[str], x0: Array
 ) -> ContinuousTask:
     """Return the task to begin with; names that it does not take are an error."""
+    given = _by_name(names, x0)
     try:
-        made = task_of(**_by_name(names, x0))
+        inspect.signature(task_of).bind(**given)
     except TypeError as refusal:
-        if "keyword argument" not in str(refusal):  # it is of what task_of does inside
-            raise
         raise ArgumentError(
             "start", f"must name parameters that task_of takes: {refusal}"
         ) from refusal
+    except ValueError:  # it does not tell its parameters
+        pass
+    made = _call_task_of(task_of, given)
     return _checks.instance(made, ContinuousTask, "task_of(**start)")
 
 
