@@ -12,10 +12,12 @@ from fractions import Fraction
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, overload
 
+import numpy as np
+
 from oee_tabular.exceptions import UnknownKeywordError
 
-# numbers that do not mix with floats
-EXACT = (Decimal, Fraction)
+# numbers that do not mix with floats, or carry their own precision into what follows
+OTHER_NUMBERS = (Decimal, Fraction, np.longdouble, np.float32, np.float16)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -62,14 +64,15 @@ def suggest_keywords(
 
 
 def _take_floats(make: Callable[P, T]) -> Callable[P, T]:
-    """Return a constructor that keeps a Decimal or a Fraction as a float.
+    """Return a constructor that keeps a number of another type as a float.
 
-    Options are kept as they were given, and floats cannot be multiplied by the former.
+    Options are kept as they were given; floats cannot be multiplied by a Decimal, and
+    scipy has no functions of longer numbers.
     """
 
     @functools.wraps(make)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        if any(type(x) in EXACT for x in (*args, *kwargs.values())):
+        if any(type(x) in OTHER_NUMBERS for x in (*args, *kwargs.values())):
             given = [_float_of(x) for x in args]
             named = {name: _float_of(x) for name, x in kwargs.items()}
             return make(*given, **named)  # type: ignore[arg-type]
@@ -79,8 +82,8 @@ def _take_floats(make: Callable[P, T]) -> Callable[P, T]:
 
 
 def _float_of(value: object) -> object:
-    """Return a Decimal or a Fraction as a float, if there is one, else the value."""
-    if type(value) not in EXACT:
+    """Return a number of another type as a float, if there is one, else the value."""
+    if type(value) not in OTHER_NUMBERS:
         return value
     try:
         return float(value)  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import oee_tabular as oee
@@ -143,7 +144,7 @@ def test_a_number_of_more_digits_than_python_writes_has_a_text():
 
 
 def test_options_are_kept_as_floats():
-    """A Decimal and a Fraction do not mix with floats."""
+    """Numbers of other types do not mix with floats, or are longer than scipy's."""
     tasks = oee.tasks
     cart = tasks.CartPole(gravity=Decimal("9.8"))
     assert cart == tasks.CartPole(9.8)
@@ -151,5 +152,9 @@ def test_options_are_kept_as_floats():
     ridge = oee.ratio.Quotient(ridge=Fraction(1, 2)).ridge
     assert ridge == 0.5
     assert type(ridge) is float
+    for kind in (np.longdouble, np.float32, np.float16):
+        ridge = oee.ratio.Quotient(ridge=kind(0.5)).ridge
+        assert ridge == 0.5
+        assert type(ridge) is float
     with pytest.raises(ValueError, match="gravity must be"):
         tasks.CartPole(gravity=Decimal("sNaN"))

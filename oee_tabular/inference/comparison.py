@@ -23,7 +23,12 @@ from oee_tabular.inference.asymptotic import (
     outside_margin,
     value_covariances,
 )
-from oee_tabular.inference.evidence import Evidence, gather, require_squares
+from oee_tabular.inference.evidence import (
+    Evidence,
+    check_ratios,
+    gather,
+    require_squares,
+)
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.mdp import FiniteMDP, check_policies
 from oee_tabular.typing import Array, PoliciesLike, RealArrayLike, Seed
@@ -542,8 +547,7 @@ def compare_estimates(
         }
     values, factor = _center([estimates.get(name) for name in names], likely)
     recorded, never = value_covariances(evidences, prior=1.0)
-    nu = lower_ratio or 0.0
-    mu = np.inf if upper_ratio is None else upper_ratio
+    nu, mu = check_ratios(lower_ratio, upper_ratio)
     # the most that a box leaves of the variance in unrecorded pairs
     never = factor**2 * never * min(1.0, (1.0 - nu) * (mu - 1.0))
     recorded = factor**2 * recorded

@@ -125,12 +125,7 @@ def evidence_of(
     upper_ratio: float | None,
 ) -> Evidence:
     """Collect the evidence of a model, a checked policy, and counts or None."""
-    nu = 0.0
-    if lower_ratio is not None:
-        nu = _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
-    mu = np.inf
-    if upper_ratio is not None:
-        mu = _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    nu, mu = check_ratios(lower_ratio, upper_ratio)
     rows = Rows.of(model)
     observed = np.zeros(len(rows.weights))
     if counts is not None:
@@ -145,6 +140,19 @@ def evidence_of(
     return Evidence(
         model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box
     )
+
+
+def check_ratios(
+    lower_ratio: float | None, upper_ratio: float | None
+) -> tuple[float, float]:
+    """Return the ends of the box as floats, 0 and infinity where none is given."""
+    nu = 0.0
+    if lower_ratio is not None:
+        nu = _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
+    mu = np.inf
+    if upper_ratio is not None:
+        mu = _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    return nu, mu
 
 
 def _scale_into(rows: Rows, p: Array, low: Array, high: Array) -> Array:

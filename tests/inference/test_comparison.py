@@ -1,6 +1,8 @@
 """Differences of policies, rankings, and measures of selection."""
 
 import dataclasses
+from decimal import Decimal
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -353,3 +355,15 @@ def test_of_equal_policies_the_first_given_stands_first():
             problem, dict.fromkeys(names, pair.policy)
         )
         assert list(made.names) == names
+
+
+@pytest.mark.parametrize(
+    "number", [np.longdouble, np.float16, np.float32, Decimal, Fraction, np.asarray]
+)
+def test_a_box_of_numbers_of_any_type_is_that_of_floats(number):
+    box = {"lower_ratio": 0.5, "upper_ratio": 4.0}
+    same = {name: number(end) for name, end in box.items()}
+    found = compare_policies(problem(500, 0), POLICIES, seed=0, **same)
+    expected = compare_policies(problem(500, 0), POLICIES, seed=0, **box)
+    assert_array_equal(found.standard_errors, expected.standard_errors)
+    assert_array_equal(found.lower, expected.lower)
