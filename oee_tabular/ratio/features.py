@@ -19,6 +19,7 @@ by the pivoted Cholesky decomposition, Applied Numerical Mathematics 62, 2012.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -58,6 +59,22 @@ FEATURES_CALL = "features(state, action, next_state), of three arrays of integer
 KERNEL_CALL = "kernel(x, c), of two arrays of points, (n, d) and (m, d)"
 
 
+@dataclass(frozen=True)
+class _Gaussian:
+    """The Gaussian kernel of a bandwidth, which pickles and compares by it."""
+
+    bandwidth: float
+
+    def __call__(self, x: Array, c: Array) -> Array:
+        """Compute the kernel of two arrays of points."""
+        distance = (x**2).sum(axis=1)[:, None] - 2.0 * x @ c.T + (c**2).sum(axis=1)
+        exponent = np.maximum(distance, 0.0) / (2.0 * self.bandwidth**2)
+        return np.asarray(np.exp(-exponent))
+
+    def __repr__(self) -> str:
+        return f"gaussian({self.bandwidth!r})"
+
+
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
     """Return the Gaussian kernel of a bandwidth, a function of two arrays of points.
 
@@ -70,21 +87,17 @@ def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
     -------
     callable
         Takes (n, d) points x and (m, d) points c; returns the (n, m) array of
-        exp(-d^2 / (2 h^2)), d the distance of x and c.
+        exp(-d^2 / (2 h^2)), d the distance of x and c. It can be pickled, and equals
+        another kernel of the same bandwidth.
 
     Examples
     --------
     >>> gaussian(1.0)(np.array([[0.0]]), np.array([[0.0], [2.0]])).round(4).tolist()
     [[1.0, 0.1353]]
     """
-    width = _checks.number_in(bandwidth, "bandwidth", 0.0, np.inf, open_ends=True)
-
-    def kernel(x: Array, c: Array) -> Array:
-        """Compute the kernel of two arrays of points."""
-        distance = (x**2).sum(axis=1)[:, None] - 2.0 * x @ c.T + (c**2).sum(axis=1)
-        return np.asarray(np.exp(-np.maximum(distance, 0.0) / (2.0 * width**2)))
-
-    return kernel
+    return _Gaussian(
+        _checks.number_in(bandwidth, "bandwidth", 0.0, np.inf, open_ends=True)
+    )
 
 
 class KernelFeatures(NamedTuple):

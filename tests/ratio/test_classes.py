@@ -1,5 +1,8 @@
 """Ratios in classes by own programs: linear, kernel and tied."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from helpers import table_of
@@ -282,3 +285,16 @@ def test_a_tied_ratio_says_that_unseen_rows_come_from_the_tie():
         assert [("Transitions of the same key elsewhere" in text) for text in told] == [
             tied
         ]
+
+
+def test_a_gaussian_is_pickled_and_compared_by_its_bandwidth():
+    kernel = oee.ratio.gaussian(2)
+    assert repr(kernel) == "gaussian(2.0)"
+    for twin in (pickle.loads(pickle.dumps(kernel)), copy.deepcopy(kernel)):
+        assert twin == kernel
+        assert hash(twin) == hash(kernel)
+        x = np.array([[0.0], [2.0]])
+        assert_array_equal(twin(x, x), kernel(x, x))
+    assert kernel != oee.ratio.gaussian(1.0)
+    method = oee.ratio.InClass(coordinates=[0.0, 1.0], kernel=kernel)
+    assert pickle.loads(pickle.dumps(method)).kernel == kernel
