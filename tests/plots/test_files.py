@@ -57,8 +57,11 @@ def test_the_ending_says_the_kind(kind, name, tmp_path):
 def test_a_picture_that_fails_leaves_the_old_file(tmp_path):
     path = tmp_path / "a.png"
     path.write_bytes(b"old")
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(
+        ValueError, match=r"draw must be .*ZeroDivisionError"
+    ) as refused:
         plots.save_figure(lambda ax: 1 / 0, path)
+    assert isinstance(refused.value.__cause__, ZeroDivisionError)
     assert path.read_bytes() == b"old"
     assert [one.name for one in tmp_path.iterdir()] == ["a.png"]
 
