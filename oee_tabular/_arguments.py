@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-from oee_tabular import _checks, _files
+from oee_tabular import _checks
 from oee_tabular._own_modules import import_own, import_own_environment
 from oee_tabular._own_modules import own_modules as own_modules
 from oee_tabular.exceptions import ArgumentError
@@ -87,7 +87,7 @@ def named_specs(
                 option, f"must have a name before its '='; got {text!r}"
             )
         # a file's name need not be text, which tables and pages are
-        name = _files.text_bytes(name).decode()
+        name = name.encode("utf-8", "backslashreplace").decode()
         if name in specs:
             raise ValueError(f"{option} names must differ; {name!r} is given twice")
         specs[name] = spec if equals else text

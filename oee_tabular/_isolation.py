@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from oee_tabular._printing import EPOCH
-
 # module -> the file of settings that it looks for in the current folder while it is
 # imported
 SETTINGS = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+EPOCH = "SOURCE_DATE_EPOCH"  # the variable with the date of reproducible files
 BACKEND = "MPLBACKEND"  # which matplotlib reads while it is imported
 SAFE_PATH = "PYTHONSAFEPATH"  # lets Python leave the current folder out of its path
 

@@ -9,9 +9,9 @@ from datetime import UTC, datetime
 from html import escape
 from typing import TextIO
 
+from oee_tabular._isolation import EPOCH
 from oee_tabular.exceptions import ArgumentError
 
-EPOCH = "SOURCE_DATE_EPOCH"  # the variable with the date of reproducible files
 # the unit of a value, unless something else is said
 SUM = "discounted sum of rewards, not normalised"
 # what this package prints beyond ASCII, as streams of other encodings show it
