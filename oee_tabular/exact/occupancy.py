@@ -192,8 +192,8 @@ def transition_gradient(
         V of that model, finite where it is known, and nan elsewhere. It is not used
         with a horizon.
     time : array_like of shape (S, A), optional
-        ``occupancy(model, policy)``, where it is known; finite and nonnegative. It is used below discount 1
-        without a horizon.
+        ``occupancy(model, policy)``, where it is known; finite and nonnegative. It is
+        used below discount 1 without a horizon.
 
     Returns
     -------
