@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -280,16 +280,20 @@ def main(arguments: list[str] | None = None) -> None:
             app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         say(f"oee: {_sentence(error)}", err=True)
-        _flush_output()
+        _flush(sys.stdout)
         sys.exit(2)
+    finally:
+        _flush(sys.stderr)
 
 
-def _flush_output() -> None:
-    """Write what is left for standard output, or drop what it does not take."""
+def _flush(stream: TextIO) -> None:
+    """Write what is left for a stream, or drop what it does not take."""
     try:
-        sys.stdout.flush()
+        stream.flush()
     except OSError:
-        drop_rest(sys.stdout)
+        drop_rest(stream)
+    except (AttributeError, ValueError):  # there is none, or it is closed
+        pass
 
 
 def _sentence(error: Exception) -> str:

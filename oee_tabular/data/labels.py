@@ -184,7 +184,9 @@ def match_labels(
         _refuse_mixture(taken, left, name)
     known = {stem(field) for field in taken} | absent
     for label in left:
-        refuse_doubt(label, known, name)
+        # 0 alone has the sizes of pandas' groups; with 1 it is one of many columns
+        if label not in (0, "0") or {1, "1"}.isdisjoint(left):
+            refuse_doubt(label, known, name)
     noted = [label for label in left if label not in absent]
     return Matching(taken, tuple(renamed), tuple(noted))
 

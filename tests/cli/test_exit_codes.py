@@ -226,6 +226,7 @@ def test_ctrl_c_within_the_text_of_a_library_ends_with_a_code_too(tmp_path, text
         ("nothing", 2),
         ("sample gridworld:3 --transitions 0 --output l.csv", 2),
         ("export gridworld:3,slip=0.3 --output e.npz", 0),
+        ("export warns.csv --initial 0 --output e.npz", 0),
         ("sample interrupts:make --transitions 3 --output l.csv", 130),
     ],
 )
@@ -233,9 +234,17 @@ def test_the_code_is_the_same_where_errors_cannot_be_written(
     tmp_path, line, expected, is_closed
 ):
     (tmp_path / "interrupts.py").write_text("raise KeyboardInterrupt")
+    (tmp_path / "warns.csv").write_text(
+        "state,action,next_state,reward,note\n0,0,0,1,7\n"
+    )
     words = [sys.executable, "-P", "-m", "oee_tabular", *line.split()]
     shell = shlex.join(words) + (" 2>&-" if is_closed else " 2>/dev/full")
-    done = subprocess.run(["sh", "-c", shell], cwd=tmp_path, check=False)
+    # a buffer that cannot be written is an error of its own where Python ends
+    surroundings = {**os.environ}
+    surroundings.pop("PYTHONUNBUFFERED", None)
+    done = subprocess.run(
+        ["sh", "-c", shell], cwd=tmp_path, env=surroundings, check=False
+    )
     assert done.returncode == expected
 
 
