@@ -133,8 +133,9 @@ class LogColumns:
         if faults:
             raise faults[0].to_error()
         if columns["timestep"] is None:
-            first_row = np.repeat(starts[:-1], np.diff(starts))
-            columns["timestep"] = np.arange(len(episode)) - first_row
+            timestep = np.arange(len(episode))
+            timestep -= np.repeat(starts[:-1], np.diff(starts))
+            columns["timestep"] = timestep
         if columns["truncated"] is None:
             columns["truncated"] = is_last & ~columns["terminated"]
 
@@ -503,5 +504,5 @@ def _number_on(parts: Sequence[IntArray]) -> list[IntArray]:
 
 def _episode_starts(episode: IntArray) -> IntArray:
     """Return the rows at which the episode changes, with 0 and n at the ends."""
-    changes = np.flatnonzero(np.diff(episode)) + 1
+    changes = np.flatnonzero(episode[1:] != episode[:-1]) + 1
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)

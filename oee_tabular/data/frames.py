@@ -434,6 +434,8 @@ def _names_in(value: object, name: str) -> list[Any] | None:
 
     The column's own reader judges what is no name.
     """
+    if type(value) is np.ndarray and value.dtype.kind not in "UO":
+        return None  # without a copy
     array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
     if isinstance(array, np.ndarray):
         may_be_names = array.dtype.kind in "UO" and array.ndim == 1
